@@ -72,7 +72,7 @@ fn a_ball_in_sockets_calibrates_a_real_arm_also_at_another_position() {
     for hole in [0, 1] {
         let log = recorded("right", hole);
         let (before, after) = (closure_mm(nominal, ball, &log), closure_mm(&written, ball, &log));
-        assert!(before > 5.0 && after < 0.6, "{before} {after}");
+        assert!(before > 2.0 && after < 0.4, "{before} {after}");
     }
     for distance in report["distances"].as_array().expect("two pairs") {
         let after = distance["after_m"].as_f64().expect("a number");

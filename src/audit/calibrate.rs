@@ -224,7 +224,7 @@ fn calibrate_inputs(
     let moved_point = streams
         .iter()
         .zip(&calibration.streams)
-        .find_map(|(stream, found)| moved_point(stream, found.after.m, typical_m, &calibration));
+        .find_map(|(stream, found)| moved_point(stream, found, typical_m, &calibration));
     let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
@@ -309,8 +309,7 @@ fn calibrate_consistent(
         let (joints, found) = calibrate_streams(robot, streams, distance_m)?;
         let typical_m = typical_residual_m(&found);
         let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| {
-            moved_point(stream, one.after.m, typical_m, &found)
-                .or_else(|| stream_rejection_reason(one))
+            moved_point(stream, one, typical_m, &found).or_else(|| stream_rejection_reason(one))
         };
         let useless: Vec<Option<String>> =
             streams.iter().zip(&found.streams).map(why_useless).collect();

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::tables::{dropped_rows, joint_track, named_chain, numbers_suffice, row_times};
-use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance};
-use crate::geometry::{Pose, Rotation, pose};
+use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration};
+use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::log::read_number_table;
 use crate::report::Trouble;
 use crate::robot::{Chain, JointKind};
@@ -92,6 +92,18 @@ fn fit(chain: &Chain, track: &JointTrack) -> Option<FixedPoint> {
     FixedPoint::fit(chain, (0..track.len()).step_by(2).map(|at| track.row(at)))
 }
 
+/// Errors of the rows for a known point of the tip.
+fn errors_at(chain: &Chain, track: &JointTrack, tip_xyz: Vec3) -> FixedPoint {
+    let point = |at: usize| {
+        let tip = chain.forward(track.row(at));
+        tip.translation.vector + tip.rotation * tip_xyz
+    };
+    let points: Vec<Vec3> = (0..track.len()).step_by(2).map(point).collect();
+    let base_xyz = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    let errors = points.iter().map(|point| point - base_xyz).collect();
+    FixedPoint { base_xyz, tip_xyz, errors }
+}
+
 /// How far the rows are from one point.
 fn error_text(fit: &FixedPoint) -> String {
     let rms_mm = 1e3 * fit.rms_m();
@@ -107,17 +119,17 @@ fn error_text(fit: &FixedPoint) -> String {
 /// Why the rows of a file do not share a fixed point. Files usually leave `typical_m` rms.
 pub(super) fn moved_point(
     stream: &CalibrationInput,
-    rms_m: f64,
+    found: &StreamCalibration,
     typical_m: f64,
     calibration: &ArmCalibration,
 ) -> Option<String> {
-    let least_m = MAX_POINT_ERROR_RATIO * typical_m;
+    let (rms_m, least_m) = (found.after.m, MAX_POINT_ERROR_RATIO * typical_m);
     if stream.measurement != Measurement::FixedPoint {
         return None;
     }
     let robot = &calibration.robot;
     let chain = robot.chain(robot.link(&stream.base)?, robot.link(&stream.tip)?).ok()?;
-    let fit = fit(&chain, &stream.joints)?;
+    let fit = errors_at(&chain, &stream.joints, found.tool?.translation.vector);
     let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
     let has_moved = rms_m > least_m.max(MAX_JUMP_ERROR_M) && fit.jump().is_some();
     (is_far || has_moved).then(|| format!("{}, also with the calibrated links", error_text(&fit)))
