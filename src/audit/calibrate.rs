@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Options;
 use super::fixed_point::{
-    self, distances, held_out_group, moved_point, outlier_rows, typical_residual_m,
+    self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
 use super::tables::read_table;
 use crate::checks::{
@@ -221,10 +221,9 @@ fn calibrate_inputs(
     }));
     let unmoved = unmoved_joints(&nominal, &joints, &calibration);
     let typical_m = typical_residual_m(&calibration);
-    let moved_point = streams
-        .iter()
-        .zip(&calibration.streams)
-        .find_map(|(stream, found)| moved_point(stream, found, typical_m, &calibration));
+    let mut moved = streams.iter().zip(&calibration.streams);
+    let moved = moved.find(|(stream, found)| has_moved(stream, found, typical_m, &calibration));
+    let moved_point = moved.and_then(|(stream, _)| moved_text(stream, &calibration));
     let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
@@ -305,30 +304,38 @@ fn calibrate_consistent(
     left_out: &mut Vec<String>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let given = streams.len();
+    let mut dropped: Vec<(CalibrationInput, Option<String>)> = Vec::new();
     loop {
         let (joints, found) = calibrate_streams(robot, streams, distance_m)?;
         let typical_m = typical_residual_m(&found);
-        let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| {
-            moved_point(stream, one, typical_m, &found).or_else(|| stream_rejection_reason(one))
+        // A moved point is described by the final calibration.
+        let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| match has_moved(
+            stream, one, typical_m, &found,
+        ) {
+            true => Some(None),
+            false => stream_rejection_reason(one).map(Some),
         };
-        let useless: Vec<Option<String>> =
+        let useless: Vec<Option<Option<String>>> =
             streams.iter().zip(&found.streams).map(why_useless).collect();
         let kept = useless.iter().filter(|why| why.is_none()).count();
         if kept == streams.len() || 2 * kept <= given {
-            return Ok((joints, found));
-        }
-        let mut why_not = useless.into_iter();
-        streams.retain(|stream| match why_not.next().flatten() {
-            Some(why) => {
+            left_out.extend(dropped.into_iter().map(|(stream, why)| {
                 let topic = match stream.measurement {
                     Measurement::FixedPoint => String::new(),
                     Measurement::Pose | Measurement::Point => format!(" {}", stream.topic),
                 };
-                left_out.push(format!("{}{topic}: {why}", stream.log.display()));
-                false
+                let why = why.or_else(|| moved_text(&stream, &found)).unwrap_or_default();
+                format!("{}{topic}: {why}", stream.log.display())
+            }));
+            return Ok((joints, found));
+        }
+        let all = std::mem::take(streams);
+        for (stream, why) in all.into_iter().zip(useless) {
+            match why {
+                Some(why) => dropped.push((stream, why)),
+                None => streams.push(stream),
             }
-            None => true,
-        });
+        }
     }
 }
 

@@ -116,23 +116,38 @@ fn error_text(fit: &FixedPoint) -> String {
     }
 }
 
-/// Why the rows of a file do not share a fixed point. Files usually leave `typical_m` rms.
-pub(super) fn moved_point(
+/// Whether the rows of a file do not share a fixed point. Files usually leave `typical_m` rms.
+pub(super) fn has_moved(
     stream: &CalibrationInput,
     found: &StreamCalibration,
     typical_m: f64,
     calibration: &ArmCalibration,
-) -> Option<String> {
+) -> bool {
     let (rms_m, least_m) = (found.after.m, MAX_POINT_ERROR_RATIO * typical_m);
-    if stream.measurement != Measurement::FixedPoint {
-        return None;
-    }
+    let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
+    let jumps = || calibrated_errors(stream, calibration).is_some_and(|fit| fit.jump().is_some());
+    stream.measurement == Measurement::FixedPoint
+        && (is_far || (rms_m > least_m.max(MAX_JUMP_ERROR_M) && jumps()))
+}
+
+/// How far the rows of a file are from one point with the calibrated links.
+pub(super) fn moved_text(
+    stream: &CalibrationInput,
+    calibration: &ArmCalibration,
+) -> Option<String> {
+    let fit = calibrated_errors(stream, calibration)?;
+    Some(format!("{}, also with the calibrated links", error_text(&fit)))
+}
+
+fn calibrated_errors(
+    stream: &CalibrationInput,
+    calibration: &ArmCalibration,
+) -> Option<FixedPoint> {
     let robot = &calibration.robot;
     let chain = robot.chain(robot.link(&stream.base)?, robot.link(&stream.tip)?).ok()?;
-    let fit = errors_at(&chain, &stream.joints, found.tool?.translation.vector);
-    let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
-    let has_moved = rms_m > least_m.max(MAX_JUMP_ERROR_M) && fit.jump().is_some();
-    (is_far || has_moved).then(|| format!("{}, also with the calibrated links", error_text(&fit)))
+    // All files have one tool.
+    let tool = calibration.streams.first()?.tool?;
+    Some(errors_at(&chain, &stream.joints, tool.translation.vector))
 }
 
 /// Rows far from the point of a file.
