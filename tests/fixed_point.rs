@@ -97,6 +97,15 @@ fn a_file_whose_ball_moved_is_left_out_and_the_others_are_used() {
     let report = json(&output);
     assert_eq!(output.status.code(), Some(0), "{}", report["refused"]);
     assert_eq!(report["streams"].as_array().map(Vec::len), Some(6));
+    // Without a given distance, the nominal lengths determine the scale.
+    let point = |stream: usize| {
+        let xyz = &report["streams"][stream]["fixed_point_in_base"];
+        Vec3::from([0, 1, 2].map(|axis| xyz[axis].as_f64().expect("a number")))
+    };
+    for first in [0, 2, 4] {
+        let distance = (point(first) - point(first + 1)).norm();
+        assert!((distance - 0.05).abs() < 0.5e-3, "{distance}");
+    }
     let left_out = report["left_out"].to_string();
     assert!(left_out.contains("moved.csv: the point moves by"), "{left_out}");
     assert!(left_out.contains("after row 12"), "{left_out}");

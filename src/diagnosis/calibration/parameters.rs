@@ -24,6 +24,8 @@ pub(super) struct CalibrationParameters {
     joints: usize,
     streams: Vec<StreamParameters>,
     base_from_first: Vec<Pose>,
+    /// Derivative of the arm's scale, relative to its nominal size, by each parameter.
+    pub scale: DVector<f64>,
 }
 
 /// Indices of a stream's own parameters: 0 for a known frame, 3 for a position, 6 for a pose.
@@ -67,7 +69,7 @@ impl CalibrationParameters {
             given => given,
         };
         let tools: Vec<FrameFreedom> = streams.iter().enumerate().map(tool_of).collect();
-        let next_axes = next_axes(chain);
+        let (next_axes, next_origins) = next_joints(chain);
         let is_zero = |link: usize, direction: &Vec3| {
             zeros.contains(&link) && direction.dot(&next_axes[link]).abs() > 1.0 - 1e-9
         };
@@ -109,7 +111,17 @@ impl CalibrationParameters {
             own.push(StreamParameters { reference, tool, latency });
         }
         let base_from_first = paths.iter().map(|path| path.base_from_first).collect();
-        Self { links, zeros, width: next, joints, streams: own, base_from_first }
+        // A uniform scale lengthens each link along its nominal length.
+        let mut scale = DVector::zeros(next);
+        for (along, one) in scale.iter_mut().zip(&links).filter(|(_, one)| !one.is_rotation) {
+            let length = next_origins.get(one.link).copied().unwrap_or_default();
+            *along = Vec3::from(one.direction).dot(&length);
+        }
+        let squares = scale.norm_squared();
+        if squares > 0.0 {
+            scale /= squares;
+        }
+        Self { links, zeros, width: next, joints, streams: own, base_from_first, scale }
     }
 
     /// Number of parameters.
@@ -217,13 +229,17 @@ impl CalibrationParameters {
     }
 }
 
-/// Axis of the joint after each link, in that link. The base comes first.
-fn next_axes(chain: &Chain) -> Vec<Vec3> {
+/// Axis and origin of the joint after each link, in that link. The base comes first.
+fn next_joints(chain: &Chain) -> (Vec<Vec3>, Vec<Vec3>) {
     let mut frames = Vec::new();
     chain.joint_frames(&vec![0.0; chain.dof()], &mut frames);
     let before = std::iter::once(Pose::identity()).chain(frames.iter().copied());
     let both = before.zip(&frames).zip(chain.joint_axes());
-    both.map(|((link, next), axis)| link.rotation.inverse() * (next.rotation * axis)).collect()
+    both.map(|((link, next), axis)| {
+        let link_from_next = link.inverse() * next;
+        (link_from_next.rotation * axis, link_from_next.translation.vector)
+    })
+    .unzip()
 }
 
 /// Unit vectors along which a link's deviation is distinguishable from one before its joint.

@@ -1,7 +1,7 @@
 //! Linearised pose streams of a calibration, and steps to the maximum of the posterior.
 
 use super::parameters::CalibrationParameters;
-use super::{CalibrationStream, PointDistance};
+use super::{CalibrationStream, FrameFreedom, PointDistance};
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist,
 };
@@ -89,7 +89,7 @@ impl<'a> StreamSource<'a> {
             chain,
             columns: &stream.columns,
             gains: &[],
-            reference_known: stream.reference_freedom == super::FrameFreedom::Known,
+            reference_known: stream.reference_freedom == FrameFreedom::Known,
             rest_speeds: &self.rest_speeds,
             t_s: stream.t_s.clone(),
             xyz: self.xyz.clone(),
@@ -254,6 +254,11 @@ impl CalibrationSystem<'_> {
             normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
             normal.right += source.columns.transpose() * own.right;
             normal.cost += own.cost;
+            // Distances from a fixed point shrink with the arm. Relative to its size they do not:
+            // the derivative of r / (1 + scale).
+            if matches!(source.stream.reference_freedom, FrameFreedom::Position(_)) {
+                normal.right += own.cost * &self.parameters.scale;
+            }
             // Excluded rotations are exact zeros.
             normal.independent += match source.stream.is_rotation_excluded {
                 true => 3.0 * stream.linear.len() as f64 / stream.weights[0].noise.inflation(),

@@ -442,6 +442,14 @@ fn a_point_at_rest_calibrates_links_and_zeros_without_a_sensor() {
         assert!(one.held_out_before.m > 1e-3 && one.held_out_after.m < 2.0 * noise_m, "{one:?}");
     }
     assert!(found.distances_m.iter().all(|[_, after]| (after - 0.05).abs() < 1e-4));
+    // Without distances, the nominal lengths determine the scale.
+    let unscaled = calibrate_arm(&nominal, &streams, &[], &[]).expect("a calibration");
+    let point =
+        |s: usize| unscaled.streams[s].reference.expect("free").inverse().translation.vector;
+    for s in [0, 2, 4] {
+        let distance_m = (point(s) - point(s + 1)).norm();
+        assert!((distance_m - 0.05).abs() < 0.3e-3, "{distance_m}");
+    }
     // Another place, with the point that was estimated.
     let elsewhere = configurations_at(&chain, Vec3::new(0.3, 0.1, 0.5), tool, 30, 0.0, &mut normal);
     let calibrated = found.robot.chain(base, tip).expect("a chain");
