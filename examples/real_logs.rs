@@ -29,6 +29,8 @@ struct Answer {
     arm: Option<String>,
     /// Warnings and errors: code and message.
     findings: Vec<(String, String)>,
+    /// Of `calibrate`.
+    max_held_out_mm: Option<f64>,
     text: String,
 }
 
@@ -198,7 +200,10 @@ fn run(jobs: &[Job], options: &Options) -> Result<Vec<Vec<String>>> {
 fn audit(job: &Job, options: &Options) -> Result<Answer> {
     let dir = tempfile::tempdir()?;
     let mut command = Command::new(&options.program);
-    command.arg("audit");
+    command.arg(job.expectation.command.as_deref().unwrap_or("audit"));
+    if job.expectation.command.as_deref() == Some("calibrate") {
+        command.arg("--out").arg(dir.path().join("calibrated"));
+    }
     for log in &job.logs {
         match &job.expectation.header {
             None => command.arg(log),
@@ -236,8 +241,17 @@ fn audit(job: &Job, options: &Options) -> Result<Answer> {
     let text = format!("{report}{}", fs::read_to_string(&err)?);
     let Ok(report) = serde_json::from_str::<serde_json::Value>(&report) else {
         ensure!(status.code() != Some(70), "it panicked: {text}");
-        return Ok(Answer { verdict: "refused".to_owned(), arm: None, findings: Vec::new(), text });
+        return Ok(Answer {
+            verdict: "refused".to_owned(),
+            arm: None,
+            findings: Vec::new(),
+            max_held_out_mm: None,
+            text,
+        });
     };
+    if report["schema"] == "poseaudit.calibration/1" {
+        return Ok(calibration(&report, text));
+    }
     let audited = report["error"].is_null();
     let findings = report["findings"].as_array().into_iter().flatten();
     let findings = findings.filter(|finding| finding["severity"] != "info");
@@ -255,8 +269,27 @@ fn audit(job: &Job, options: &Options) -> Result<Answer> {
         .to_owned(),
         arm: report["robots"][0]["name"].as_str().map(str::to_owned),
         findings: findings.collect(),
+        max_held_out_mm: None,
         text,
     })
+}
+
+/// Answer of `calibrate`.
+fn calibration(report: &serde_json::Value, text: String) -> Answer {
+    let verdict = match (&report["refused"], report["equals_model"] == true) {
+        (why, _) if !why.is_null() => "rejected",
+        (_, true) => "unchanged",
+        _ => "calibrated",
+    };
+    let streams = report["streams"].as_array().into_iter().flatten();
+    let residuals = streams.filter_map(|stream| stream["held_out"]["after"]["m"].as_f64());
+    Answer {
+        verdict: verdict.to_owned(),
+        arm: report["arm"].as_str().map(str::to_owned),
+        findings: Vec::new(),
+        max_held_out_mm: residuals.map(|m| 1e3 * m).reduce(f64::max),
+        text,
+    }
 }
 
 /// Differences between an answer and the expectation.
@@ -290,6 +323,11 @@ fn differences(expected: &Expectation, answer: &Answer) -> Vec<String> {
     let wrong =
         wrong.filter(|(code, _)| !expected.must.contains(code) && !expected.may.contains(code));
     differences.extend(wrong.map(|(code, message)| format!("false {code} '{message}'")));
+    if let Some(most) = expected.max_held_out_mm
+        && !answer.max_held_out_mm.is_some_and(|found| found <= most)
+    {
+        differences.push(format!("held-out residual {:?} mm, not {most}", answer.max_held_out_mm));
+    }
     let missing = expected.says.iter().filter(|text| !answer.text.contains(text.as_str()));
     differences.extend(missing.map(|text| format!("'{text}' is missing")));
     differences

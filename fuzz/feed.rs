@@ -28,7 +28,7 @@ pub const TARGETS: [Target; 24] = [
     ("ros1", |bytes| read_message("ros1", "ros1msg", bytes)),
     ("protobuf", |bytes| read_message("protobuf", "protobuf", bytes)),
     ("json", |bytes| read_message("json", "jsonschema", bytes)),
-    ("csv", read_file),
+    ("csv", read_csv),
     ("hdf5", read_file),
     ("lerobot", read_lerobot),
     ("npy", read_file),
@@ -74,6 +74,25 @@ fn read_columns(bytes: &[u8]) {
 fn read_workbook(bytes: &[u8]) {
     let Some((strings, sheet)) = split_after_length::<2>(bytes) else { return };
     read_file(&workbook(strings, sheet));
+}
+
+/// Reads the same bytes as a log and as calibration tables.
+fn read_csv(bytes: &[u8]) {
+    read_file(bytes);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("table.csv");
+    fs::write(&path, bytes).expect("a file");
+    if let Some(table) = log::read_number_table(&path).expect("a file") {
+        assert!(table.rows.iter().all(|row| row.len() == table.width()));
+        assert!(table.rows.iter().flatten().all(|value| value.is_finite()));
+        let joints: Vec<String> = (0..table.width()).map(|joint| format!("j{joint}")).collect();
+        let columns = table.joints(&joints).unwrap_or_default();
+        assert!(columns.iter().all(|&column| column < table.width()));
+    }
+    if let Some(table) = log::read_calibration_table(&path).expect("a file") {
+        let width = table.numbers.width();
+        assert!(table.positions.iter().flatten().all(|&column| column < width));
+    }
 }
 
 /// Reads a folder with this `metadata.yaml` and a valid file.

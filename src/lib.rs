@@ -42,8 +42,8 @@ pub use poseaudit_diagnosis as diagnosis;
 pub use poseaudit_log as log;
 
 pub use audit::{
-    Audited, CalibrationInput, CalibrationResult, DEMO_LOG, DEMO_PAIR_LOG, Demo, Options,
-    PlantedFault, Policy, calibrate, demo, demo_pair,
+    Audited, CalibrationInput, CalibrationResult, DEMO_LOG, DEMO_PAIR_LOG, Demo, Measurement,
+    Options, PlantedFault, Policy, calibrate, calibrate_at_fixed_points, demo, demo_pair,
 };
 pub use report::compare;
 

@@ -204,3 +204,75 @@ fn a_table_needs_a_model_and_no_input_is_overwritten() {
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("would be lost"));
 }
+
+#[test]
+fn the_calibration_next_to_the_config_is_used_on_request() {
+    let folder = TempDir::new().expect("a folder");
+    let config = path(&folder, "poseaudit.toml");
+    fs::write(&config, "max_latency = \"1 s\"\n").expect("a file");
+    let audit = |more: &[&str]| {
+        let given = ["audit", CLEAN, "--calibration", "auto", "--format", "json"];
+        poseaudit(&[&given[..], more].concat())
+    };
+    for (more, expected) in [(&[][..], "there is no config"), (&["--config", &config], "exists")] {
+        let refused = audit(more);
+        let stderr = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("--calibration auto") && stderr.contains(expected), "{stderr}");
+    }
+    let here = folder.path().display().to_string();
+    poseaudit(&["calibrate", CLEAN, "--out", &here, "--force"]);
+    let report = json(&audit(&["--config", &config]));
+    let source = report["robots"][0]["source"].as_str().expect("a source");
+    assert!(source.contains("calibration.json"), "{source}");
+}
+
+/// Positions of three nests on the tool from a laser tracker, m. With `one_joint`, only one joint turns at a time.
+fn table_of_nests(rows: usize, one_joint: bool) -> String {
+    const NESTS: [[f64; 3]; 3] = [[0.08, 0.0, 0.1], [-0.05, 0.07, 0.09], [-0.04, -0.06, 0.16]];
+    let robot = robot_with_deviations();
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    let chain = robot.chain(base, tip).expect("a chain");
+    let world = pose([3.4, -1.3, 0.2], rotation_from_rpy([0.1, -0.2, 1.9]));
+    let mut text = "J1,J2,J3,J4,J5,J6,x1,y1,z1,x2,y2,z2,x3,y3,z3\n".to_owned();
+    for row in 0..rows {
+        let q: Vec<f64> = (0..6)
+            .map(|joint| match one_joint && joint != row % 6 {
+                true => [0.3, -1.2, 1.1, -0.7, 0.9, 0.4][joint],
+                false => 2.2 * noise(6 * row + joint),
+            })
+            .collect();
+        let measured = NESTS.iter().enumerate().flat_map(|(nest, xyz)| {
+            let tool = pose(*xyz, rotation_from_rpy([0.0; 3]));
+            let seen = world * chain.forward(&q) * tool;
+            [0, 1, 2].map(|axis| {
+                seen.translation.vector[axis] + 2e-5 * noise(200_000 + 9 * row + 3 * nest + axis)
+            })
+        });
+        let numbers: Vec<String> =
+            q.iter().copied().chain(measured).map(|number| number.to_string()).collect();
+        text += &(numbers.join(",") + "\n");
+    }
+    text
+}
+
+#[test]
+fn positions_of_several_nests_calibrate_the_arm_in_one_tracker_frame() {
+    let folder = TempDir::new().expect("a folder");
+    for (name, one_joint, most_m) in [("nests", false, 4e-5), ("circles", true, 2.5e-4)] {
+        let log = path(&folder, &format!("{name}.csv"));
+        let out = path(&folder, name);
+        fs::write(&log, table_of_nests(90, one_joint)).expect("a file");
+        let report = json(&calibrate_table(&log, &out));
+        assert_eq!(report["refused"], Value::Null, "{name}");
+        let streams = report["streams"].as_array().expect("streams");
+        assert_eq!(streams.len(), 3);
+        assert!(
+            streams.iter().all(|one| one["stream_from_base"] == streams[0]["stream_from_base"])
+        );
+        let written = Robot::from_file(Path::new(&out).join("robot.urdf").as_path());
+        let written = written.expect("a robot");
+        let error_m = tip_distance_difference_m(&robot_with_deviations(), &written);
+        assert!(error_m < most_m, "{name}: {error_m}");
+    }
+}

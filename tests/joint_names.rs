@@ -3,9 +3,10 @@
 use std::fs::File;
 use std::path::PathBuf;
 
-use poseaudit::report::{Report, Trouble};
+use poseaudit::finding::Status;
+use poseaudit::report::{Report, Trouble, Verdict};
 use poseaudit::run::RunOptions;
-use poseaudit::synth::{Scenario, write_cell};
+use poseaudit::synth::{Commands, Scenario, write_cell};
 use poseaudit::{Options, audit};
 use tempfile::TempDir;
 
@@ -48,6 +49,31 @@ fn source_of(report: &Report) -> &str {
 
 fn error_text(report: &Report) -> String {
     report.error.as_ref().map_or_else(String::new, ToString::to_string)
+}
+
+fn residual_reason(report: &Report) -> &str {
+    let row = report.checks.iter().find(|row| row.code == "MDL001").expect("the residual check");
+    row.reason.as_deref().unwrap_or_default()
+}
+
+#[test]
+fn without_a_model_only_the_checks_that_need_one_stay_open() {
+    let mut run = ur5e("thumb_");
+    run.pose.timing.rate_hz = 0.0;
+    run.reference.commands = Commands::Joints;
+    (run.reference.timing.rate_hz, run.reference.timing.latency_s) = (50.0, -0.14);
+    let report = audit_runs(&[run.clone()], RunOptions::default()).expect("a report");
+    assert!(report.error.is_none() && report.verdict == Verdict::Fail, "{report:?}");
+    let codes: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
+    assert_eq!(codes, ["LAT004"]);
+    assert!(residual_reason(&report).contains("pass --robot"), "{}", residual_reason(&report));
+    run.reference.timing.latency_s = -0.02;
+    let report = audit_runs(&[run.clone()], RunOptions::default()).expect("a report");
+    assert_eq!(report.verdict, Verdict::Inconclusive);
+    for code in ["LAT004", "VEL001", "MOT002"] {
+        let mut rows = report.checks.iter().filter(|row| row.code == code);
+        assert!(rows.all(|row| row.status == Status::Pass), "{code}");
+    }
 }
 
 #[test]
@@ -102,11 +128,9 @@ fn no_arm_is_guessed_without_poses() {
     let mut run = ur5e("J");
     run.pose.timing.rate_hz = 0.0;
     let report = audit_runs(&[run.clone()], RunOptions::default()).expect("a report");
-    assert!(
-        error_text(&report).contains("no robot model matches the joints"),
-        "{}",
-        error_text(&report)
-    );
+    assert!(report.robots.is_empty() && report.error.is_none(), "{}", error_text(&report));
+    let reason = residual_reason(&report);
+    assert!(reason.contains("no robot model matches the joints"), "{reason}");
     // A named robot is matched by numbers without confirmation.
     let report = audit_runs(&[run], with_robot("ur5e")).expect("a report");
     assert!(

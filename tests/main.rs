@@ -6,6 +6,7 @@ mod cli;
 mod config;
 mod desk;
 mod docs;
+mod fixed_point;
 mod fixtures;
 mod fleet;
 mod fuzz;

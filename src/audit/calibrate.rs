@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use super::Options;
+use super::fixed_point::{
+    self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
+};
 use super::tables::read_table;
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
 };
 use crate::diagnosis::{
-    ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
-    calibrate_arm,
+    ArmCalibration, CalibrationFailure, CalibrationStream, FrameFreedom, PointDistance,
+    PoseDiagnosis, PoseEncoding, StreamCalibration, calibrate_arm,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
@@ -23,6 +26,17 @@ use crate::stream::JointTrack;
 /// Larger frame offsets are not link deviations, m and rad.
 const MAX_DEVIATION_M: f64 = 10e-3;
 const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Meaning of a stream's samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measurement {
+    /// Measured poses.
+    Pose,
+    /// One of the points on the tool that an external sensor measures.
+    Point,
+    /// A point of the tool at one place, without a sensor.
+    FixedPoint,
+}
+
 /// Stream as calibration input.
 #[derive(Clone, Debug)]
 pub struct CalibrationInput {
@@ -32,6 +46,8 @@ pub struct CalibrationInput {
     pub topic: String,
     /// Source of the poses.
     pub source_kind: PoseSourceKind,
+    /// Meaning of its samples.
+    pub measurement: Measurement,
     /// Encoding of the rotations if not the log's.
     pub encoding: Option<String>,
     /// Base link.
@@ -65,6 +81,8 @@ pub struct CalibrationResult {
     pub left_out: Vec<String>,
     /// Estimated calibration.
     pub calibration: ArmCalibration,
+    /// Known distances of the points, in the order of [`ArmCalibration::distances_m`].
+    pub distances: Vec<PointDistance>,
     /// Joints that moved too little.
     pub unmoved: Vec<UnmovedJoint>,
     /// Command that plans a more informative motion.
@@ -106,14 +124,34 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
+    let read = |path: &Path| match read_table(path)? {
+        Some(table) => table.input(path, &options.run),
+        None => inputs_from_log(path, options, topic),
+    };
+    calibrate_inputs(options, read, None)
+}
+
+/// Same with `options.logs` as tables of configurations. One point of the tool stays at an unknown place in each
+/// table. The points of the two files in a folder have the distance `distance_m`.
+///
+/// # Errors
+/// If no table can be used, or no folder has two for the distance.
+pub fn calibrate_at_fixed_points(
+    options: &Options,
+    distance_m: Option<f64>,
+) -> Result<CalibrationResult, Trouble> {
+    calibrate_inputs(options, |path| fixed_point::input(path, &options.run), distance_m)
+}
+
+fn calibrate_inputs(
+    options: &Options,
+    read: impl Fn(&Path) -> Result<LogInputs, Trouble>,
+    distance_m: Option<f64>,
+) -> Result<CalibrationResult, Trouble> {
     options.places().check()?;
     let (mut streams, mut left_out, mut arm) = (Vec::new(), Vec::new(), None);
     for path in &options.logs {
-        let found = match read_table(path)? {
-            Some(table) => table.input(path, &options.run),
-            None => inputs_from_log(path, options, topic),
-        };
-        let (robot, input, others) = match found {
+        let (robot, input, others) = match read(path) {
             Ok(found) => found,
             // Several logs: skip unusable ones.
             Err(trouble) if options.logs.len() > 1 && trouble.kind == TroubleKind::Log => {
@@ -159,23 +197,46 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
         }));
         streams = external;
     }
-    let (joints, calibration) = calibrate_consistent(&nominal, &mut streams, &mut left_out)
-        .map_err(|why| {
+    let (joints, calibration) =
+        calibrate_consistent(&nominal, &mut streams, distance_m, &mut left_out).map_err(|why| {
             let (what, remedy) = failure_text(why);
             trouble(place, what, remedy)
         })?;
+    let distances = distances(&streams, distance_m);
+    if distance_m.is_some() && distances.is_empty() {
+        let what = "no folder has exactly two files of fixed points".to_owned();
+        let remedy = "put the two files of a tool into one folder, or omit --distance";
+        return Err(Trouble {
+            kind: TroubleKind::Call,
+            what,
+            place: "--distance".to_owned(),
+            remedy: remedy.to_owned(),
+        });
+    }
+    left_out.extend(streams.iter().zip(&calibration.streams).filter_map(|(stream, found)| {
+        let rows = (stream.measurement == Measurement::FixedPoint)
+            .then(|| outlier_rows(&found.errors_m))
+            .flatten()?;
+        Some(format!("{}: {rows}", stream.log.display()))
+    }));
     let unmoved = unmoved_joints(&nominal, &joints, &calibration);
-    let rejection = rejection_reason(&calibration, &unmoved);
+    let typical_m = typical_residual_m(&calibration);
+    let mut moved = streams.iter().zip(&calibration.streams);
+    let moved = moved.find(|(stream, found)| has_moved(stream, found, typical_m, &calibration));
+    let moved_point = moved.and_then(|(stream, _)| moved_text(stream, &calibration));
+    let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
-    let plan =
-        streams.first().and_then(|stream| calibration_plan_command(options, &nominal, stream));
+    // A planned motion has no fixed point.
+    let measured = streams.first().filter(|one| one.measurement != Measurement::FixedPoint);
+    let plan = measured.and_then(|stream| calibration_plan_command(options, &nominal, stream));
     Ok(CalibrationResult {
         nominal,
         joints,
         streams,
         left_out,
         calibration,
+        distances,
         unmoved,
         plan,
         rejection,
@@ -239,35 +300,64 @@ fn failure_text(why: CalibrationFailure) -> (&'static str, &'static str) {
 fn calibrate_consistent(
     robot: &Robot,
     streams: &mut Vec<CalibrationInput>,
+    distance_m: Option<f64>,
     left_out: &mut Vec<String>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let given = streams.len();
+    let mut dropped: Vec<(CalibrationInput, Option<String>)> = Vec::new();
     loop {
-        let (joints, found) = calibrate_streams(robot, streams)?;
-        let useless: Vec<Option<String>> =
-            found.streams.iter().map(stream_rejection_reason).collect();
+        let (joints, found) = calibrate_streams(robot, streams, distance_m)?;
+        let typical_m = typical_residual_m(&found);
+        // A moved point is described by the final calibration.
+        let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| match has_moved(
+            stream, one, typical_m, &found,
+        ) {
+            true => Some(None),
+            false => stream_rejection_reason(one).map(Some),
+        };
+        let useless: Vec<Option<Option<String>>> =
+            streams.iter().zip(&found.streams).map(why_useless).collect();
         let kept = useless.iter().filter(|why| why.is_none()).count();
         if kept == streams.len() || 2 * kept <= given {
+            left_out.extend(dropped.into_iter().map(|(stream, why)| {
+                let topic = match stream.measurement {
+                    Measurement::FixedPoint => String::new(),
+                    Measurement::Pose | Measurement::Point => format!(" {}", stream.topic),
+                };
+                let why = why.or_else(|| moved_text(&stream, &found)).unwrap_or_default();
+                format!("{}{topic}: {why}", stream.log.display())
+            }));
             return Ok((joints, found));
         }
-        let mut why_not = useless.into_iter();
-        streams.retain(|stream| match why_not.next().flatten() {
-            Some(why) => {
-                left_out.push(format!("{} {}: {why}", stream.log.display(), stream.topic));
-                false
+        let all = std::mem::take(streams);
+        for (stream, why) in all.into_iter().zip(useless) {
+            match why {
+                Some(why) => dropped.push((stream, why)),
+                None => streams.push(stream),
             }
-            None => true,
-        });
+        }
     }
 }
 
 fn calibrate_streams(
     robot: &Robot,
     streams: &[CalibrationInput],
+    distance_m: Option<f64>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let link = |name: &str| robot.link(name).ok_or(CalibrationFailure::Chain);
     let mut given = Vec::with_capacity(streams.len());
-    for stream in streams {
+    for (s, stream) in streams.iter().enumerate() {
+        let same_log = streams.iter().position(|other| other.log == stream.log).unwrap_or(s);
+        let (reference, tool) = match stream.measurement {
+            Measurement::Pose => (FrameFreedom::Pose(s), FrameFreedom::Pose(s)),
+            Measurement::Point if stream.is_rotation_excluded => {
+                (FrameFreedom::Pose(same_log), FrameFreedom::Position(s))
+            }
+            Measurement::Point => (FrameFreedom::Pose(same_log), FrameFreedom::Pose(s)),
+            // One tool in all files.
+            Measurement::FixedPoint => (FrameFreedom::Position(s), FrameFreedom::Position(0)),
+        };
+        let freedom = |is_free: bool, frame| if is_free { frame } else { FrameFreedom::Known };
         given.push(CalibrationStream {
             joints: &stream.joints,
             columns: stream.columns.clone(),
@@ -281,17 +371,22 @@ fn calibrate_streams(
             latency_is_free: stream.latency_s.is_some(),
             skew: stream.skew,
             reference: stream.reference,
-            reference_is_free: stream.is_reference_free,
+            reference_freedom: freedom(stream.is_reference_free, reference),
             tool: stream.tool,
-            tool_is_free: stream.is_tool_free,
+            tool_freedom: freedom(stream.is_tool_free, tool),
+            held_out_group: held_out_group(streams, s),
         });
     }
     let first = given.first().ok_or(CalibrationFailure::TooFewSamples)?;
     let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let joints = chain.joint_names().to_vec();
     let is_off = |joint: &String| streams.iter().any(|stream| stream.zeros.contains(joint));
-    let zeros: Vec<usize> = (0..joints.len()).filter(|&at| is_off(&joints[at])).collect();
-    let found = calibrate_arm(robot, &given, &zeros)?;
+    // The base includes the zero of the first joint, the point on the tool that of the last one.
+    let is_inner = |at: usize| (1..joints.len().saturating_sub(1)).contains(&at);
+    let fixed_points = streams.iter().all(|one| one.measurement == Measurement::FixedPoint);
+    let is_free = |&at: &usize| is_off(&joints[at]) || (fixed_points && is_inner(at));
+    let zeros: Vec<usize> = (0..joints.len()).filter(is_free).collect();
+    let found = calibrate_arm(robot, &given, &zeros, &distances(streams, distance_m))?;
     Ok((joints, found))
 }
 
@@ -401,6 +496,7 @@ fn input_from_stream(
         log: path.to_path_buf(),
         topic: topic.to_owned(),
         source_kind: found.source_kind,
+        measurement: Measurement::Pose,
         encoding: encoding_name(diagnosis),
         base: source.chain.base_name().to_owned(),
         tip: source.chain.tip_name().to_owned(),

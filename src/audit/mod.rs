@@ -4,6 +4,7 @@
 mod any_log;
 mod calibrate;
 mod demo;
+mod fixed_point;
 mod options;
 mod tables;
 
@@ -19,7 +20,9 @@ use crate::report::{
 };
 use crate::run::{Arm, Excerpts, Run, Segment, align_table_clocks, identify_columns, segments};
 
-pub use calibrate::{CalibrationInput, CalibrationResult, calibrate};
+pub use calibrate::{
+    CalibrationInput, CalibrationResult, Measurement, calibrate, calibrate_at_fixed_points,
+};
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
 pub use options::{Options, Policy};
 
@@ -267,7 +270,9 @@ fn build_report(
     report.required.clone_from(&options.policy.rules.required);
     match &main.run.no_arm {
         Some(error)
-            if options.policy.rules.needs_model() && !has_decided_hand_eye(&report.checks) =>
+            if options.policy.rules.needs_model()
+                && main.evidence.unmodelled_arms.is_empty()
+                && !has_decided_hand_eye(&report.checks) =>
         {
             report.with_trouble(error.into())
         }

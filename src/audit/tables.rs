@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use super::calibrate::{CalibrationInput, LogInputs, encoding_name, trouble};
+use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
-use crate::log::{CalibrationTable, RotationColumns, read_calibration_table};
+use crate::log::{CalibrationTable, NumberTable, RotationColumns, read_calibration_table};
 use crate::report::{Trouble, TroubleKind};
-use crate::robot::{LinkId, Robot};
+use crate::robot::{Chain, LinkId, Robot};
 use crate::run::{PoseSourceKind, RunOptions};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -27,21 +27,9 @@ impl ConfigurationTable {
     /// Resolves their encoding against the arm in `options`.
     pub fn input(&self, path: &Path, options: &RunOptions) -> Result<LogInputs, Trouble> {
         let Self(table) = self;
-        let call = |what: String, remedy: &str| {
-            let kind = TroubleKind::Call;
-            Trouble { kind, ..trouble(path, what, remedy) }
-        };
-        let [named] = options.robots.as_slice() else {
-            let what = "a table of configurations does not identify the arm".to_owned();
-            return Err(call(what, "name its model with --robot"));
-        };
-        let robot = named.robot()?;
-        let (base, tip) = chain_ends(&robot, options)
-            .map_err(|what| call(what, "name a link with --base or --tip"))?;
-        let chain = robot.chain(base, tip).map_err(|error| {
-            call(error.to_string(), "name different links with --base and --tip")
-        })?;
-        let Some(joints) = table.joints(chain.joint_names()) else {
+        let (robot, chain) = named_chain(path, options, None)?;
+        let numbers = &table.numbers;
+        let Some(joints) = numbers.joints(chain.joint_names()) else {
             let what =
                 format!("it has no columns for the joints {}", chain.joint_names().join(", "));
             return Err(trouble(
@@ -50,14 +38,20 @@ impl ConfigurationTable {
                 "name the columns like the model's joints, or q1, q2 and so on",
             ));
         };
-        if table.rows.len() < MIN_ROWS {
-            let what = format!("only {} rows hold numbers in all columns", table.rows.len());
-            return Err(trouble(path, what, "use a table with more configurations"));
-        }
-        let (track, poses) = (joint_track(table, &joints), pose_track(table));
+        numbers_suffice(path, numbers)?;
+        let track = joint_track(numbers, &joints, 1.0);
+        let poses: Vec<PoseTrack> = table
+            .positions
+            .iter()
+            .enumerate()
+            .map(|(point, position)| {
+                let rotation = if point == 0 { &table.rotation } else { &RotationColumns::None };
+                pose_track(&numbers.rows, *position, rotation)
+            })
+            .collect();
         let columns: Vec<usize> = (0..joints.len()).collect();
-        let stream = PoseStream {
-            track: &poses,
+        let stream = |track| PoseStream {
+            track,
             chain: &chain,
             columns: &columns,
             reference_known: false,
@@ -65,21 +59,8 @@ impl ConfigurationTable {
             stamps_copied: true,
             removed_ramp: None,
         };
-        let found = diagnose_arm(&track, &[stream], ROW_INTERVAL_S);
-        let Some(diagnosis) = found.streams.first().filter(|one| one.residual.is_ok()) else {
-            return Err(trouble(
-                path,
-                "its poses do not follow the arm",
-                "check that --robot is the arm's model",
-            ));
-        };
-        if diagnosis.is_far_from_fk() {
-            return Err(trouble(
-                path,
-                "its positions do not match FK",
-                "check that --robot is the arm's model",
-            ));
-        }
+        let streams: Vec<PoseStream> = poses.iter().map(stream).collect();
+        let found = diagnose_arm(&track, &streams, ROW_INTERVAL_S);
         let mut unzeroed = found.joints.clone();
         unzeroed.offsets.iter_mut().for_each(|offset| offset.is_chosen = false);
         let slides: Vec<bool> = chain
@@ -87,35 +68,95 @@ impl ConfigurationTable {
             .iter()
             .map(|kind| *kind == crate::robot::JointKind::Prismatic)
             .collect();
-        let frames = &diagnosis.frame_correction;
-        let dropped = table.dropped.first().map(|line| {
-            format!(
-                "{} rows with values that are not numbers, the first in line {line}",
-                table.dropped.len()
-            )
-        });
-        let input = CalibrationInput {
-            log: path.to_path_buf(),
-            topic: "rows".to_owned(),
-            source_kind: PoseSourceKind::External,
-            encoding: encoding_name(diagnosis),
-            base: chain.base_name().to_owned(),
-            tip: chain.tip_name().to_owned(),
-            joints: unzeroed.corrected_joints(&track, &slides),
-            columns: columns.clone(),
-            t_s: diagnosis.aligned.t_s.clone(),
-            poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-            is_rotation_excluded: diagnosis.encoding.is_err(),
-            latency_s: None,
-            skew: 0.0,
-            reference: frames.reference,
-            is_reference_free: true,
-            tool: frames.tool,
-            is_tool_free: true,
-            zeros: Vec::new(),
-        };
-        Ok((robot, vec![input], dropped.into_iter().collect()))
+        let joints = unzeroed.corrected_joints(&track, &slides);
+        let mut inputs: Vec<CalibrationInput> = Vec::with_capacity(poses.len());
+        for (point, diagnosis) in found.streams.iter().enumerate() {
+            let why_not = match diagnosis.residual.is_err() {
+                true => Some("its poses do not follow the arm"),
+                false => diagnosis.is_far_from_fk().then_some("its positions do not match FK"),
+            };
+            if let Some(what) = why_not {
+                return Err(trouble(path, what, "check that --robot is the arm's model"));
+            }
+            let frames = &diagnosis.frame_correction;
+            let several = poses.len() > 1;
+            inputs.push(CalibrationInput {
+                log: path.to_path_buf(),
+                topic: if several { format!("point {}", point + 1) } else { "rows".to_owned() },
+                source_kind: PoseSourceKind::External,
+                measurement: if several { Measurement::Point } else { Measurement::Pose },
+                encoding: encoding_name(diagnosis),
+                base: chain.base_name().to_owned(),
+                tip: chain.tip_name().to_owned(),
+                joints: joints.clone(),
+                columns: columns.clone(),
+                t_s: diagnosis.aligned.t_s.clone(),
+                poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
+                is_rotation_excluded: diagnosis.encoding.is_err(),
+                latency_s: None,
+                skew: 0.0,
+                // All points are measured in one frame.
+                reference: inputs.first().map_or(frames.reference, |first| first.reference),
+                is_reference_free: true,
+                tool: frames.tool,
+                is_tool_free: true,
+                zeros: Vec::new(),
+            });
+        }
+        Ok((robot, inputs, dropped_rows(numbers).into_iter().collect()))
     }
+}
+
+/// The arm that the options name, and its chain. If the default tip has another number of joints than
+/// `joint_count`, a leaf link with that number is the tip.
+pub(super) fn named_chain(
+    path: &Path,
+    options: &RunOptions,
+    joint_count: Option<usize>,
+) -> Result<(Robot, Chain), Trouble> {
+    let call = |what: String, remedy: &str| {
+        let kind = TroubleKind::Call;
+        Trouble { kind, ..trouble(path, what, remedy) }
+    };
+    let [named] = options.robots.as_slice() else {
+        let what = "a table of configurations does not identify the arm".to_owned();
+        return Err(call(what, "name its model with --robot"));
+    };
+    let robot = named.robot()?;
+    let (base, tip) = chain_ends(&robot, options)
+        .map_err(|what| call(what, "name a link with --base or --tip"))?;
+    let chain = robot.chain(base, tip);
+    let with_count = || {
+        let count = joint_count.filter(|_| options.tip.is_none())?;
+        let is_right = |chain: &Chain| chain.dof() == count;
+        if chain.as_ref().is_ok_and(is_right) {
+            return None;
+        }
+        robot.leaf_links().filter_map(|link| robot.chain(base, link).ok()).find(is_right)
+    };
+    if let Some(other) = with_count() {
+        return Ok((robot, other));
+    }
+    let chain = chain
+        .map_err(|error| call(error.to_string(), "name different links with --base and --tip"))?;
+    Ok((robot, chain))
+}
+
+/// # Errors
+/// If there are too few rows.
+pub(super) fn numbers_suffice(path: &Path, table: &NumberTable) -> Result<(), Trouble> {
+    let rows = table.rows.len();
+    if rows < MIN_ROWS {
+        let what = format!("only {rows} rows hold numbers in all columns, fewer than {MIN_ROWS}");
+        return Err(trouble(path, what, "use a table with more configurations"));
+    }
+    Ok(())
+}
+
+pub(super) fn dropped_rows(table: &NumberTable) -> Option<String> {
+    let line = table.dropped.first()?;
+    let count = table.dropped.len();
+    Some(format!("{count} rows with values that are not numbers, the first in line {line}"))
 }
 
 fn chain_ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
@@ -129,22 +170,27 @@ fn chain_ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), S
     Ok((base, tip.or_else(|| robot.leaf_links().last()).unwrap_or(base)))
 }
 
-fn joint_track(table: &CalibrationTable, joints: &[usize]) -> JointTrack {
+/// Rows at rest, with joint positions times `unit`.
+pub(super) fn joint_track(table: &NumberTable, joints: &[usize], unit: f64) -> JointTrack {
     let mut track = JointTrack { dof: joints.len(), ..JointTrack::default() };
     for (at, row) in table.rows.iter().enumerate() {
         for within_s in [0.0, REST_S] {
             track.t_s.push(at as f64 * ROW_INTERVAL_S + within_s);
-            track.q.extend(joints.iter().map(|&column| row[column]));
+            track.q.extend(joints.iter().map(|&column| unit * row[column]));
         }
     }
     track.qd = vec![0.0; track.q.len()];
     track
 }
 
-fn pose_track(table: &CalibrationTable) -> PoseTrack {
-    let rows = &table.rows;
-    let xyz = |row: &Vec<f64>| Vec3::from(table.position.map(|column| row[column]));
-    let orientation = match &table.rotation {
+/// Times of rows within the rests of [`joint_track`].
+pub(super) fn row_times(rows: usize) -> Vec<f64> {
+    (0..rows).map(|at| at as f64 * ROW_INTERVAL_S + 0.5 * REST_S).collect()
+}
+
+fn pose_track(rows: &[Vec<f64>], position: [usize; 3], rotation: &RotationColumns) -> PoseTrack {
+    let xyz = |row: &Vec<f64>| Vec3::from(position.map(|column| row[column]));
+    let orientation = match rotation {
         RotationColumns::Numbers(columns) => Orientations::Numbers(
             rows.iter().map(|row| columns.map(|column| row[column])).collect(),
         ),
@@ -156,7 +202,7 @@ fn pose_track(table: &CalibrationTable) -> PoseTrack {
         RotationColumns::None => Orientations::Unset(rows.len()),
     };
     PoseTrack {
-        t_s: (0..rows.len()).map(|at| at as f64 * ROW_INTERVAL_S + 0.5 * REST_S).collect(),
+        t_s: row_times(rows.len()),
         xyz: rows.iter().map(xyz).collect(),
         orientation,
         declared: None,

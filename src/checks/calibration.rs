@@ -1,6 +1,8 @@
 //! Decides whether logs suffice to calibrate an arm.
 
+use super::{Rule, find};
 use crate::diagnosis::{ArmCalibration, StreamCalibration};
+use crate::finding::Severity;
 use crate::robot::{JointKind, Robot};
 
 /// Minimum ratio of the expected FK error, nominal to calibrated.
@@ -18,6 +20,11 @@ const MIN_EQUAL_RATIO: f64 = 0.95;
 /// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
+
+/// Whether a finding means that an arm's own calibration is missing.
+pub(crate) fn suggests_calibration(code: &str, severity: Severity) -> bool {
+    find(code).is_ok_and(Rule::is_residual_check) && severity == Severity::Info
+}
 
 /// A joint that moved too little for calibration.
 #[derive(Clone, Debug)]
@@ -139,6 +146,7 @@ mod tests {
             noise: [1e-5, 1e-5],
             inflation: [1.0, 1.0],
             spans: vec![2.0, 2.0, 2.0, 0.1, 2.0, 2.0],
+            errors_m: Vec::new(),
         };
         ArmCalibration {
             robot: catalogue::find("ur5e").expect("it is in the catalogue").clone(),
@@ -152,6 +160,7 @@ mod tests {
             covariance: Default::default(),
             dof: 1000.0,
             streams: vec![stream],
+            distances_m: Vec::new(),
             undetermined: Vec::new(),
             calibrated_uncertainty: residual(expected_m),
             nominal_uncertainty: residual(1e-3),

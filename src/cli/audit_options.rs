@@ -11,6 +11,8 @@ use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, Run
 use super::{messages, misuse};
 
 const AUTO: &str = "auto";
+/// Calibrations next to a config.
+const CALIBRATION_FILES: [&str; 2] = ["calibration.json", "calibration.yaml"];
 
 /// The audit options.
 #[derive(Clone, Debug, clap::Args)]
@@ -20,8 +22,8 @@ pub struct AuditOptions {
     robots: Vec<RobotSource>,
 
     /// A calibration written by `calibrate`, or a UR calibration extracted by ur_calibration; PREFIX=FILE
-    /// with several arms
-    #[arg(long = "calibration", value_name = "FILE")]
+    /// with several arms; auto: calibration.json or calibration.yaml next to the config
+    #[arg(long = "calibration", value_name = "FILE|auto")]
     calibrations: Vec<CalibrationSource>,
 
     /// Map log joint names to model joint names [default: matched by name, else by order]
@@ -92,8 +94,41 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl AuditOptions {
-    /// Finds the config for `--config auto`. Fails if no log has one or the logs have different ones.
+    /// Finds the config for `--config auto`, and the calibration for `--calibration auto`. Fails if no log has a
+    /// config, the logs have different ones, or there is no calibration.
     pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
+        self.find_nearest_config(logs)?;
+        self.find_calibration()
+    }
+
+    fn find_calibration(&mut self) -> Result<(), Trouble> {
+        let is_auto = |source: &CalibrationSource| source.file == Path::new(AUTO);
+        if !self.calibrations.iter().any(is_auto) {
+            return Ok(());
+        }
+        let refused = |what: String, remedy: &str| Err(misuse("--calibration auto", what, remedy));
+        let Some(config) = &self.config else {
+            return refused("there is no config".to_owned(), "add --config FILE or --config auto");
+        };
+        let candidates = CALIBRATION_FILES.map(|name| config.with_file_name(name));
+        let Some(file) = candidates.iter().find(|file| file.is_file()) else {
+            return refused(
+                format!(
+                    "neither {} nor {} exists",
+                    candidates[0].display(),
+                    candidates[1].display()
+                ),
+                "write it with `poseaudit calibrate LOG --out FOLDER`, or omit the option",
+            );
+        };
+        messages::print_detail("calibration", || file.display().to_string());
+        for source in self.calibrations.iter_mut().filter(|source| is_auto(source)) {
+            source.file.clone_from(file);
+        }
+        Ok(())
+    }
+
+    fn find_nearest_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
         if self.config.as_deref() != Some(Path::new(AUTO)) {
             return Ok(());
         }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use poseaudit::report::Trouble;
-use poseaudit::{Options, calibrate};
+use poseaudit::{Options, calibrate, calibrate_at_fixed_points};
 
 use super::audit_options::AuditOptions;
 use super::output::{self, Format};
@@ -16,6 +16,9 @@ use super::{Outcome, messages, misuse};
 /// the joints and the measured pose) also works, with --robot. Poses of the arm's own controller calibrate
 /// the controller's kinematics, poses of a tracker the arm itself.
 ///
+/// With --fixed-point, each LOG is a table of joint positions (a CSV, with or without names) in which a point of
+/// the tool stays at one unknown place, such as a ball in a socket. This calibrates the arm itself without a sensor.
+///
 /// Exit status: 0 the files are written, or the arm equals its model and nothing needs to be written; 1 the logs do not determine a calibration, and nothing is written;
 /// 2 invalid call; 3 a log cannot be used; 70 internal error.
 #[derive(Debug, clap::Args)]
@@ -23,7 +26,8 @@ use super::{Outcome, messages, misuse};
 Examples:
   poseaudit calibrate run.mcap --out calibrated
   poseaudit calibrate monday.mcap tuesday.mcap --robot my_arm.urdf --out calibrated
-  poseaudit calibrate postures.csv --robot ur10 --tip wrist_3_link --out calibrated --format json")]
+  poseaudit calibrate postures.csv --robot ur10 --tip wrist_3_link --out calibrated --format json
+  poseaudit calibrate --fixed-point */hole_?.csv --distance 0.05 --robot panda.urdf --out calibrated")]
 pub struct Args {
     /// A log, or its URL (s3://, gs://, az://, https://), or a table of static poses
     #[arg(value_name = "LOG", required = true)]
@@ -44,13 +48,21 @@ pub struct Args {
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
 
+    /// In each LOG, a table of joint positions, one point of the tool stays at one place
+    #[arg(long, conflicts_with = "topic")]
+    fixed_point: bool,
+
+    /// Distance of the points of the two files in a folder, m
+    #[arg(long, value_name = "M", requires = "fixed_point", value_parser = distance_m)]
+    distance: Option<f64>,
+
     /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, mut audit_options, out, force, topic, format } = args;
+    let Args { logs, mut audit_options, out, force, topic, fixed_point, distance, format } = args;
     audit_options.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
     // Before reading the config, so a file that would be overwritten is reported first.
@@ -69,7 +81,10 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let found = with_progress(|progress| {
         let mut options = options;
         options.read.progress = Some(progress);
-        calibrate(&options, topic.as_deref())
+        match fixed_point {
+            true => calibrate_at_fixed_points(&options, distance),
+            false => calibrate(&options, topic.as_deref()),
+        }
     })?;
     let written = found.write(&out, force)?;
     let files: Vec<PathBuf> = written.iter().map(|name| out.join(name)).collect();
@@ -83,4 +98,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         None => Outcome::Clean,
         Some(_) => Outcome::Findings,
     })
+}
+
+fn distance_m(text: &str) -> Result<f64, String> {
+    let metres = text.parse().ok().filter(|metres: &f64| *metres > 0.0 && metres.is_finite());
+    metres.ok_or_else(|| "give a distance in m, such as 0.05".to_owned())
 }

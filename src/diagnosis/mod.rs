@@ -101,8 +101,9 @@ use ground::stream::PoseTrack;
 
 pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived};
 pub use calibration::{
-    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FkUncertainty,
-    LinkParameter, StreamCalibration, UndeterminedDirection, calibrate_arm,
+    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FixedPoint,
+    FkUncertainty, FrameFreedom, LinkParameter, PointDistance, StreamCalibration,
+    UndeterminedDirection, calibrate_arm,
 };
 pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
 pub use columns::{

@@ -22,12 +22,14 @@ use crate::stream::{Columns, Orientations};
 /// Robot with its streams.
 #[derive(Clone, Debug)]
 pub struct ArmEvidence {
-    /// Robot name.
+    /// Robot name; empty without a model.
     pub name: String,
     /// Topic of its joint states, or of the poses in their place.
     pub joints_topic: String,
     /// Whether poses are in the place of joint states.
     pub is_trajectory: bool,
+    /// The unit of its positions is unknown: columns of a table, without a model.
+    pub has_unknown_units: bool,
     /// First and last stamp of the joint states.
     pub span: Span,
     /// Joints of the chain, as in `diagnosis`.
@@ -94,7 +96,7 @@ impl ArmEvidence {
     pub fn subject(&self) -> Subject {
         let (robot, reference) = match self.is_trajectory {
             true => (None, Some(self.joints_topic.clone())),
-            false => (Some(self.name.clone()), None),
+            false => ((!self.name.is_empty()).then(|| self.name.clone()), None),
         };
         Subject { robot, reference, ..Subject::default() }
     }
@@ -337,6 +339,7 @@ pub(super) fn arm_evidence(
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
         is_trajectory: arm.trajectory.is_some(),
+        has_unknown_units: false,
         span: span_or_run(run, joints_stream),
         joints,
         reach_m: match &arm.trajectory {

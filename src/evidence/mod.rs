@@ -11,6 +11,7 @@ mod poses;
 mod samples;
 mod streams;
 mod topics;
+mod unmodelled;
 mod vibration;
 
 use std::ops::{Deref, DerefMut};
@@ -41,8 +42,12 @@ pub use vibration::VibrationEvidence;
 pub struct RunEvidence {
     /// Robots with a model.
     pub robots: Vec<ArmEvidence>,
+    /// Joint states of arms without a model; empty if the log cannot be audited without one.
+    pub unmodelled_arms: Vec<ArmEvidence>,
     /// Why there is no robot.
     pub no_robot: Option<String>,
+    /// What to do about it.
+    pub no_robot_remedy: &'static str,
     /// Joint commands, without a robot.
     pub unmodelled_commands: Vec<StreamEvidence<UnmodelledCommands>>,
     /// Targets seen by cameras.
@@ -102,12 +107,15 @@ impl RunEvidence {
             .flat_map(|(arm, found)| topics::unset(run, arm, &found.arm));
         let unset: Vec<NotAudited> = never_set.chain(topics::in_other_frames(run)).collect();
         let arms = diagnoses.into_iter().enumerate();
+        let unmodelled_commands = commands::unmodelled_commands(run, max_lag_s);
         let robots =
             arms.map(|(index, diagnosis)| arm::arm_evidence(run, index, diagnosis, options));
         Self {
             robots: robots.collect(),
+            unmodelled_arms: unmodelled::unmodelled_arms(run, &unmodelled_commands),
             no_robot: run.no_arm.as_ref().map(|error| error.what()),
-            unmodelled_commands: commands::unmodelled_commands(run, max_lag_s),
+            no_robot_remedy: run.no_arm.as_ref().map_or("", |error| error.remedy()),
+            unmodelled_commands,
             hand_eyes,
             stamps: streams::stamps(run),
             unusable: samples::unusable(run),
@@ -137,7 +145,7 @@ impl RunEvidence {
 
     /// Number of streams and joints, for the multiple-comparison correction of intervals.
     pub fn subjects(&self) -> usize {
-        let of_robots: usize = self.robots.iter().map(ArmEvidence::subjects).sum();
+        let of_robots: usize = self.arms_with_or_without_model().map(ArmEvidence::subjects).sum();
         (of_robots + self.hand_eyes.len()).max(1)
     }
 
@@ -149,6 +157,11 @@ impl RunEvidence {
     /// A stamp as seconds from the start.
     pub fn moment(&self, stamp: Stamp) -> String {
         format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
+    }
+
+    /// Every robot, and the joint states of arms without a model.
+    pub fn arms_with_or_without_model(&self) -> impl Iterator<Item = &ArmEvidence> {
+        self.robots.iter().chain(&self.unmodelled_arms)
     }
 
     /// Every pose stream with its robot.

@@ -1,4 +1,4 @@
-//! Calibration tables: rows of joint positions and measured poses, without stamps.
+//! Calibration tables: rows of joint positions, with or without measured poses, without stamps.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,17 +12,24 @@ use super::{LogError, local};
 const MAX_BYTES: u64 = 1 << 26;
 const MAX_ROWS: usize = 100_000;
 
-/// Table with named columns and numeric rows.
+/// Table of numeric rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NumberTable {
+    /// Column names; empty if the first line has numbers.
+    pub names: Vec<String>,
+    /// Rows, all with the same number of columns.
+    pub rows: Vec<Vec<f64>>,
+    /// Line numbers of rows with non-finite cells or another number of columns.
+    pub dropped: Vec<usize>,
+}
+
+/// Table of joint positions and measured poses, with named columns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationTable {
-    /// Column names.
-    pub names: Vec<String>,
-    /// Rows, each with one number per name.
-    pub rows: Vec<Vec<f64>>,
-    /// Line numbers of rows with non-finite cells.
-    pub dropped: Vec<usize>,
-    /// Position columns: x, y, z.
-    pub position: [usize; 3],
+    /// All columns.
+    pub numbers: NumberTable,
+    /// Position columns x, y, z of each measured point; rotations belong to the first.
+    pub positions: Vec<[usize; 3]>,
     /// Rotation columns, if any.
     pub rotation: RotationColumns,
 }
@@ -61,69 +68,110 @@ const NUMBERS: [&str; 10] =
 const TRIPLES: [[&str; 3]; 4] =
     [["roll", "pitch", "yaw"], ["a", "b", "c"], ["w", "p", "r"], ["alpha", "beta", "gamma"]];
 const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
+/// Points measured per row.
+const MAX_POINTS: usize = 64;
 
 /// Reads the table at `path`. `None` if it is a log or has no position columns.
 ///
 /// # Errors
 /// If the file cannot be opened.
 pub fn read_calibration_table(path: &Path) -> Result<Option<CalibrationTable>, LogError> {
+    Ok(read_bytes(path)?.and_then(|bytes| parse_table(&bytes)))
+}
+
+/// Reads a table of numbers at `path`. `None` if it is a log or no text.
+///
+/// # Errors
+/// If the file cannot be opened.
+pub fn read_number_table(path: &Path) -> Result<Option<NumberTable>, LogError> {
+    Ok(read_bytes(path)?.and_then(|bytes| parse_numbers(&bytes)))
+}
+
+fn read_bytes(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
     let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
     let mut bytes = Vec::new();
     let read = File::open(&path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
     read.map_err(|source| LogError::Io { path, source })?;
-    Ok(parse_table(&bytes))
+    Ok(Some(bytes))
 }
 
 fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
+    let numbers = parse_numbers(bytes)?;
+    let (positions, rotation) = columns(&numbers.names)?;
+    Some(CalibrationTable { numbers, positions, rotation })
+}
+
+fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
     let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
         .map_or_else(|error| error.error_len().is_none(), |_| true);
     if !is_text || bytes.len() as u64 > MAX_BYTES || super::looks_like_log(bytes) {
         return None;
     }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let first = bytes.split(|byte| *byte == b'\n').next()?;
-    let count = |sign: u8| first.iter().filter(|byte| **byte == sign).count();
+    let first = bytes
+        .split(|byte| *byte == b'\n')
+        .find(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"#"))?;
+    let count = |sign: u8| first.trim_ascii().iter().filter(|byte| **byte == sign).count();
     let delimiter =
         [b',', b';', b'\t', b' '].into_iter().max_by_key(|&sign| (count(sign), sign != b' '))?;
     let mut reader = ReaderBuilder::new()
         .delimiter(delimiter)
         .trim(Trim::All)
         .flexible(true)
+        .has_headers(false)
         .comment(Some(b'#'))
         .from_reader(bytes);
-    let names: Vec<String> = reader.headers().ok()?.iter().map(str::to_owned).collect();
-    let (position, rotation) = columns(&names)?;
-    let (mut rows, mut dropped) = (Vec::new(), Vec::new());
-    for (at, record) in reader.records().enumerate().take(MAX_ROWS) {
-        let cells = record.ok().map(|record| -> Option<Vec<f64>> {
-            let decimal = |cell: &str| match delimiter {
-                b',' => cell.parse(),
-                _ => cell.replace(',', ".").parse(),
-            };
-            record
-                .iter()
-                .map(|cell| decimal(cell).ok().filter(|value: &f64| value.is_finite()))
-                .collect()
-        });
-        match cells.flatten().filter(|row| row.len() == names.len()) {
-            Some(row) => rows.push(row),
-            None => dropped.push(at + 2),
+    let number = |cell: &str| -> Option<f64> {
+        match delimiter {
+            b',' => cell.parse().ok(),
+            _ => cell.replace(',', ".").parse().ok(),
+        }
+    };
+    // Several spaces between columns are empty cells.
+    let is_cell = |text: &&str| delimiter != b' ' || !text.is_empty();
+    let mut table = NumberTable { names: Vec::new(), rows: Vec::new(), dropped: Vec::new() };
+    let mut width = None;
+    for (at, record) in reader.records().take(MAX_ROWS).enumerate() {
+        let Ok(record) = record else {
+            table.dropped.push(at + 1);
+            continue;
+        };
+        let cells: Vec<&str> = record.iter().filter(is_cell).collect();
+        let is_first = width.is_none();
+        let width = *width.get_or_insert(cells.len());
+        if is_first && cells.iter().any(|cell| number(cell).is_none()) {
+            table.names = cells.into_iter().map(str::to_owned).collect();
+            continue;
+        }
+        let finite = |cell: &str| number(cell).filter(|value| value.is_finite());
+        match cells.iter().map(|cell| finite(cell)).collect::<Option<Vec<f64>>>() {
+            Some(row) if row.len() == width => table.rows.push(row),
+            _ => {
+                let line = record.position().map(|position| position.line() as usize);
+                table.dropped.push(line.unwrap_or(at + 1));
+            }
         }
     }
-    Some(CalibrationTable { names, rows, dropped, position, rotation })
+    Some(table)
 }
 
-fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
+fn columns(names: &[String]) -> Option<(Vec<[usize; 3]>, RotationColumns)> {
     let lower: Vec<String> = names.iter().map(|name| name.to_lowercase()).collect();
     let at = |name: String| lower.iter().position(|own| *own == name);
     let axes = |prefix: &str, suffix: &str| -> Option<[usize; 3]> {
         let [x, y, z] = ["x", "y", "z"].map(|axis| at(format!("{prefix}{axis}{suffix}")));
         Some([x?, y?, z?])
     };
-    let with_suffix = |prefixes: &[&str]| {
-        prefixes.iter().find_map(|prefix| SUFFIXES.iter().find_map(|suffix| axes(prefix, suffix)))
+    // A first point without a number, or numbered points.
+    let points = |prefix: &str| -> Vec<[usize; 3]> {
+        let first = SUFFIXES.iter().find_map(|suffix| axes(prefix, suffix));
+        let next = (2..=MAX_POINTS).map_while(|point| {
+            ["", "_"].iter().find_map(|between| axes(prefix, &format!("{between}{point}")))
+        });
+        first.into_iter().chain(next).collect()
     };
-    let position = with_suffix(&POSITIONS)?;
+    let positions =
+        POSITIONS.iter().map(|prefix| points(prefix)).find(|found| !found.is_empty())?;
     let quaternion = QUATERNIONS.iter().find_map(|prefix| {
         SUFFIXES.iter().find_map(|suffix| {
             let [x, y, z] = axes(prefix, suffix)?;
@@ -146,11 +194,17 @@ fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
         Some(columns) => RotationColumns::Quaternion(columns),
         None => triple().map_or(RotationColumns::None, RotationColumns::Numbers),
     };
-    Some((position, rotation))
+    Some((positions, rotation))
 }
 
-impl CalibrationTable {
-    /// Columns of the joints by these names, otherwise by number, from 0 or 1: `q1`, `joint_1`, `J1`.
+impl NumberTable {
+    /// Number of columns.
+    pub fn width(&self) -> usize {
+        self.rows.first().map_or(self.names.len(), Vec::len)
+    }
+
+    /// Columns of the joints by these names, otherwise by number, from 0 or 1: `q1`, `joint_1`, `J1`. A table
+    /// without names must have one column per joint.
     pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
         const NUMBERED: [&str; 12] = [
             "q",
@@ -166,6 +220,9 @@ impl CalibrationTable {
             "a",
             "axis",
         ];
+        if self.names.is_empty() {
+            return (self.width() == names.len()).then(|| (0..names.len()).collect());
+        }
         let lower: Vec<String> = self.names.iter().map(|name| name.to_lowercase()).collect();
         let all = |name: &dyn Fn(usize) -> String| -> Option<Vec<usize>> {
             (0..names.len()).map(|joint| lower.iter().position(|own| *own == name(joint))).collect()
@@ -198,15 +255,39 @@ mod tests {
             b"q1,q2,x,y,z,rx,ry,rz\n1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7\n1,2,3,nan,5,6,7,8\n",
         )
         .unwrap();
-        assert_eq!(table.position, [2, 3, 4]);
+        assert_eq!(table.positions, [[2, 3, 4]]);
         assert_eq!(table.rotation, RotationColumns::Numbers([5, 6, 7]));
-        assert_eq!(table.joints(&names(&["shoulder", "elbow"])), Some(vec![0, 1]));
-        assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [3, 4].as_slice()));
+        let numbers = table.numbers;
+        assert_eq!(numbers.joints(&names(&["shoulder", "elbow"])), Some(vec![0, 1]));
+        assert_eq!((numbers.rows.len(), numbers.dropped.as_slice()), (1, [3, 4].as_slice()));
         let table = parse_table(b"X;Y;Z;qx;qy;qz;qw;elbow\n0,5;0;0;0;0;0;1;0,25\n").unwrap();
         assert_eq!(table.rotation, RotationColumns::Quaternion([3, 4, 5, 6]));
-        assert_eq!(table.rows[0][7], 0.25);
-        assert_eq!(table.joints(&names(&["elbow"])), Some(vec![7]));
-        assert_eq!(table.joints(&names(&["elbow", "wrist"])), None);
+        let numbers = table.numbers;
+        assert_eq!(numbers.rows[0][7], 0.25);
+        assert_eq!(numbers.joints(&names(&["elbow"])), Some(vec![7]));
+        assert_eq!(numbers.joints(&names(&["elbow", "wrist"])), None);
+    }
+
+    #[test]
+    fn numbered_positions_are_several_points() {
+        let table = parse_table(b"q1,x1,y1,z1,x2,y2,z2,x4,y4,z4\n1,2,3,4,5,6,7,8,9,10\n").unwrap();
+        assert_eq!(table.positions, [[1, 2, 3], [4, 5, 6]]);
+    }
+
+    #[test]
+    fn joint_positions_need_no_names() {
+        for text in ["1,2e-1\n\n3,4\n", "# q\n1; 0,2\n3;4\n", "1  0.2\n3   4\n5 nan\n"] {
+            let table = parse_numbers(text.as_bytes()).unwrap();
+            assert_eq!(table.rows, [[1.0, 0.2], [3.0, 4.0]], "{text:?}");
+            assert_eq!(table.joints(&names(&["a", "b"])), Some(vec![0, 1]));
+            assert_eq!(table.joints(&names(&["a", "b", "c"])), None);
+        }
+        let table = parse_numbers(b"nan,1\n2,3\n").unwrap();
+        assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [1].as_slice()));
+        assert_eq!(
+            parse_numbers(b"q1,q2\n1,2\n").unwrap().joints(&names(&["a", "b"])),
+            Some(vec![0, 1])
+        );
     }
 
     #[test]

@@ -44,7 +44,9 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-pub use self::calibration_table::{CalibrationTable, RotationColumns, read_calibration_table};
+pub use self::calibration_table::{
+    CalibrationTable, NumberTable, RotationColumns, read_calibration_table, read_number_table,
+};
 pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
     TableCell, TableNumber, TableShape, Topic, Undecodable,

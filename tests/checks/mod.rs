@@ -14,7 +14,7 @@ mod ing;
 mod invariance;
 mod lat;
 mod long_runs;
-mod mdl;
+pub mod mdl;
 mod mid_run_changes;
 mod mot;
 mod ord;

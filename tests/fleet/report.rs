@@ -456,3 +456,26 @@ fn a_zero_offset_step_within_a_dataset_is_reported_with_its_episodes() -> Result
     );
     Ok(())
 }
+
+#[test]
+fn an_arm_that_deviates_in_several_logs_is_to_be_calibrated() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    for run in 0..3 {
+        let mut log = short_run(run);
+        log.0.duration_s = 20.0;
+        crate::checks::mdl::add_link_deviations(&mut log.0);
+        log.0.has_description = false;
+        log.write(&folder.path().join(format!("logs/arm-7/{run}.mcap")))?;
+    }
+    let [logs, out] = ["logs", "out"].map(|name| folder.path().join(name).display().to_string());
+    fleet(&[&logs, "--out", &out, "--labels-from", "{arm}/*"]).output()?;
+    let report = String::from_utf8(fleet(&["report", &out]).output()?.stdout)?;
+    let command = report.lines().find(|line| line.contains("poseaudit calibrate "));
+    let command = command.with_context(|| report.clone())?;
+    assert!((0..3).all(|run| command.contains(&format!("arm-7/{run}.mcap"))), "{command}");
+    assert!(
+        report.contains("--calibration auto") && report.contains("3 logs of arm-7"),
+        "{report}"
+    );
+    Ok(())
+}

@@ -28,6 +28,7 @@ pub struct Source {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expectation {
+    pub command: Option<String>,
     pub logs: Vec<String>,
     #[serde(default)]
     pub except: Vec<String>,
@@ -46,6 +47,7 @@ pub struct Expectation {
     pub may: Vec<String>,
     #[serde(default)]
     pub says: Vec<String>,
+    pub max_held_out_mm: Option<f64>,
     pub open: Option<String>,
 }
 
@@ -56,7 +58,10 @@ pub fn sources() -> Result<Vec<Source>, toml::de::Error> {
 
 /// Arguments of an expectation, shortened for the summary.
 pub fn arguments_of(expectation: &Expectation) -> String {
-    let mut call = String::new();
+    let mut call = match &expectation.command {
+        Some(command) => format!("`{command}` "),
+        None => String::new(),
+    };
     for arg in &expectation.args {
         call += &format!("{arg} ");
     }
@@ -100,6 +105,9 @@ pub fn markdown(sources: &[Source]) -> String {
                     answer += what;
                     answer += &codes.join(", ");
                 }
+            }
+            if let Some(most) = line.max_held_out_mm {
+                answer += &format!("; held-out residual at most {most} mm rms");
             }
             let _infallible = writeln!(
                 page,

@@ -54,7 +54,7 @@ const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
 const MAX_FACTOR_DIFFERENCE: f64 = 0.03;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
+    case.evidence.arms_with_or_without_model().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {

@@ -60,13 +60,18 @@ const MAX_PRISMATIC_ACCELERATION: Limit = Limit {
     value: 5.0,
     what: "acceleration above which a prismatic joint stops abruptly",
 };
+const UNKNOWN_UNITS: &str = "the unit of its columns is unknown without a model";
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
+        if arm.has_unknown_units {
+            let why = Outcome::Skipped(UNKNOWN_UNITS.to_owned());
+            return vec![SubjectResult::new(arm.topic(&arm.joints_topic), why)];
+        }
         arm.joints.iter().enumerate().map(|(index, joint)| judge(case, arm, index, joint)).collect()
     };
-    case.evidence.robots.iter().flat_map(of_arm).collect()
+    case.evidence.arms_with_or_without_model().flat_map(of_arm).collect()
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> SubjectResult {

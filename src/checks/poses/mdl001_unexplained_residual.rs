@@ -93,7 +93,19 @@ const RECORD: &str = "record the tool's pose (from the controller or a tracker),
 fn check(case: &Case) -> Vec<SubjectResult> {
     let outcomes = CauseOutcomes::evaluate(case);
     let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &outcomes, arm));
-    arms.chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
+    let unmodelled = case.evidence.unmodelled_arms.iter().map(|arm| judge_unmodelled(case, arm));
+    arms.chain(unmodelled).chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
+}
+
+/// Without a model there is no FK.
+fn judge_unmodelled(case: &Case, arm: &ArmEvidence) -> SubjectResult {
+    let why = case.evidence.no_robot.as_deref().unwrap_or("the arm has no model");
+    let why = format!(
+        "poses, joint zeros and limits are not checked, because {why}; {}",
+        case.evidence.no_robot_remedy
+    );
+    let topic = arm.topic(&arm.joints_topic);
+    SubjectResult::new(topic, Outcome::Inconclusive(why)).within(arm.span)
 }
 
 /// A leading stream is a command, or a tool pose with late joint states, which could hide a fault:

@@ -1,11 +1,12 @@
 //! Gauss–Newton from the nominal model to the maximum of the posterior.
 
 use super::parameters::CalibrationParameters;
-use super::system::{CalibrationState, CalibrationSystem, FOLDS, LinearizedStream, StreamSource};
+use super::system::{CalibrationState, CalibrationSystem, LinearizedStream, StreamSource};
 use super::undetermined::undetermined_directions;
 use super::workspace::TipSensitivity;
 use super::{
-    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, StreamCalibration,
+    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FrameFreedom,
+    PointDistance, StreamCalibration,
 };
 use crate::Measured;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
@@ -15,11 +16,14 @@ use nalgebra::{DMatrix, DVector};
 
 const MAX_ITERATIONS: usize = 12;
 const CONVERGED_SIGMAS: f64 = 1e-3;
+/// Steps of the nominal fit of free positions.
+const START_ROUNDS: usize = 3;
 
 pub(super) fn fit(
     robot: &Robot,
     streams: &[CalibrationStream],
     zeros: &[usize],
+    distances: &[PointDistance],
 ) -> Result<ArmCalibration, CalibrationFailure> {
     let paths: Option<Vec<LinkPath>> =
         streams.iter().map(|stream| robot.link_path(stream.base, stream.tip)).collect();
@@ -28,23 +32,27 @@ pub(super) fn fit(
     if paths.iter().any(|other| other.links != path.links) {
         return Err(CalibrationFailure::OtherJoints);
     }
-    let parameters = CalibrationParameters::new(path, streams, &paths, zeros.to_vec());
+    let first = streams.first().ok_or(CalibrationFailure::TooFewSamples)?;
+    let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
+    let parameters = CalibrationParameters::new(path, &chain, streams, &paths, zeros.to_vec());
     let sources: Vec<StreamSource> = streams
         .iter()
         .enumerate()
         .map(|(s, stream)| StreamSource::new(stream, parameters.columns_of(s)))
         .collect();
-    let system = CalibrationSystem { robot, path, parameters: &parameters, sources: &sources };
+    let (parameters, sources) = (&parameters, sources.as_slice());
+    let system = CalibrationSystem { robot, path, parameters, sources, distances };
     let mut state = CalibrationState {
         values: DVector::zeros(parameters.width()),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
-    let nominal = system.linearize(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
-    let before = system.nominal_residuals(&nominal);
+    let nominal = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
+    let before = system.nominal_residuals(&nominal, &state);
+    let distances_before = system.distances_m(&state);
     let mut linearized = nominal;
     let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
     for round in 0..MAX_ITERATIONS {
-        let normal = system.normal(&linearized);
+        let normal = system.normal(&linearized, &state);
         link_m = system.best_link_m(&normal, &state);
         let (step, cholesky) =
             system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
@@ -55,21 +63,22 @@ pub(super) fn fit(
             return Err(CalibrationFailure::Diverges);
         }
         system.advance(&mut state, &step);
-        linearized = system.linearize(&state, true).ok_or(CalibrationFailure::Diverges)?;
+        let share = fitted_share(&cholesky.inverse(), &normal);
+        linearized = system.linearize(&state, Some(share)).ok_or(CalibrationFailure::Diverges)?;
         unsettled = (moved >= CONVERGED_SIGMAS).then_some(moved);
         if unsettled.is_none() && round > 1 {
             break;
         }
     }
-    let normal = system.normal(&linearized);
+    let normal = system.normal(&linearized, &state);
     let (_, cholesky) = system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
     let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
     // A fit absorbs noise: residuals shrink by the share of fitted degrees of freedom, scores by its square
     // (MacKinnon and White 1985, HC3, on average).
     let fitted = (&inverse * &normal.matrix).trace();
-    let fitted_share = (fitted / normal.independent.max(1.0)).clamp(0.0, 0.9);
-    let scores = system.scores(&linearized) / (1.0 - fitted_share).powi(2);
+    let fitted_share = fitted_share(&inverse, &normal);
+    let scores = system.scores(&linearized, &state) / (1.0 - fitted_share).powi(2);
     let before_log = DMatrix::from_diagonal(&DVector::from_vec(prior));
     let covariance = &inverse * (scores + before_log) * &inverse;
     let held_out = system.held_out(&linearized, &state, link_m);
@@ -78,19 +87,18 @@ pub(super) fn fit(
     let workspace = TipSensitivity::new(&system, &state);
     let shared = parameters.shared();
     let reports = (0..sources.len()).map(|s| {
-        let own = parameters.free_parameters_of(s);
+        let own = parameters.of_stream(s);
         let (latency_s, reference, tool) = state.streams[s];
-        let last = parameters.stream_range(s).end;
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
             samples: linearized[s].linear.len(),
-            latency_s: own.latency.then(|| Measured {
+            latency_s: own.latency.map(|at| Measured {
                 value: latency_s,
-                std_error: std_error(last - 1),
+                std_error: std_error(at),
                 dof,
             }),
-            reference: own.reference.then_some(reference),
-            tool: own.tool.then_some(tool),
+            reference: (!own.reference.is_empty()).then_some(reference),
+            tool: (!own.tool.is_empty()).then_some(tool),
             before: before[s].0,
             after: rms_residual(std::slice::from_ref(&linearized[s].linear.residual)),
             held_out_before: before[s].1,
@@ -98,6 +106,7 @@ pub(super) fn fit(
             noise: [0, 1].map(|kind| linearized[s].weights[kind].noise.sigma),
             inflation: [0, 1].map(|kind| linearized[s].weights[kind].noise.inflation()),
             spans: sources[s].spans(),
+            errors_m: linearized[s].linear.residual[0].iter().map(|r| norm(*r)).collect(),
         }
     });
     let reports = reports.collect();
@@ -107,7 +116,7 @@ pub(super) fn fit(
         deviations: parameters.deviations(state.values.as_slice()),
         link_m,
         remaining_step: unsettled,
-        undetermined: undetermined_directions(&normal.matrix, &parameters, link_m, &workspace),
+        undetermined: undetermined_directions(&normal.matrix, parameters, link_m, &workspace),
         calibrated_uncertainty: workspace.uncertainty(&shared_covariance),
         nominal_uncertainty: workspace.uncertainty(&parameters.nominal_covariance(link_m)),
         robot: calibrated,
@@ -117,7 +126,19 @@ pub(super) fn fit(
         covariance: shared_covariance,
         dof,
         streams: reports,
+        distances_m: std::iter::zip(distances_before, system.distances_m(&state))
+            .map(|(before, after)| [before, after])
+            .collect(),
     })
+}
+
+/// Degrees of freedom of the fit per independent residual.
+fn fitted_share(covariance: &DMatrix<f64>, normal: &Normal) -> f64 {
+    ((covariance * &normal.matrix).trace() / normal.independent.max(1.0)).clamp(0.0, 0.9)
+}
+
+fn norm(residual: [f64; 3]) -> f64 {
+    residual.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
 /// Residual by kind over pieces of a stream.
@@ -135,12 +156,13 @@ impl CalibrationSystem<'_> {
     fn nominal_residuals(
         &self,
         linearized: &[LinearizedStream],
+        state: &CalibrationState,
     ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
-        let own: Vec<usize> = (self.parameters.shared()..self.parameters.width()).collect();
+        let own = self.own_parameters();
         let none = DVector::zeros(self.parameters.width());
         let fitted = |normal: &Normal| normal.step(&none, &own);
-        let all_free = fitted(&self.normal(linearized));
-        let folds = self.cross_validated(linearized, fitted);
+        let all_free = fitted(&self.sample_normal(linearized));
+        let folds = self.cross_validated(linearized, state, fitted);
         let of = |((source, stream), held_out): (
             (&StreamSource, &LinearizedStream),
             CalibrationResidual,
@@ -161,28 +183,81 @@ impl CalibrationSystem<'_> {
         let of = |training: &Normal| {
             self.step(training, state, link_m).map_or_else(none, |(step, _)| step)
         };
-        self.cross_validated(linearized, of)
+        self.cross_validated(linearized, state, of)
     }
 
-    /// Each fold is predicted by a step from the others' equations.
+    /// Each fold is predicted by a step from the others' equations. Frames that only a held-out group has are
+    /// fitted to it.
     fn cross_validated(
         &self,
         linearized: &[LinearizedStream],
+        state: &CalibrationState,
         step: impl Fn(&Normal) -> DVector<f64>,
     ) -> Vec<CalibrationResidual> {
-        let all_data = self.normal(linearized);
+        let all_data = self.normal(linearized, state);
+        let none = DVector::zeros(self.parameters.width());
+        let (folds, by_group) = self.folds();
         let mut all: Vec<Vec<_>> = linearized.iter().map(|_| Vec::new()).collect();
-        for fold in 0..FOLDS {
-            let held_out_parts: Vec<LinearizedStream> =
-                linearized.iter().map(|stream| stream.part(fold)).collect();
-            let mut training = self.normal(&held_out_parts);
-            training.matrix = &all_data.matrix - training.matrix;
-            training.right = &all_data.right - training.right;
-            let step = step(&training);
+        for fold in 0..folds {
+            let held_out_parts = self.fold(linearized, fold);
+            let mut held_out = self.sample_normal(&held_out_parts);
+            let mut training = Normal::zeros(self.parameters.width());
+            training.matrix = &all_data.matrix - &held_out.matrix;
+            training.right = &all_data.right - &held_out.right;
+            let mut step = step(&training);
+            if by_group {
+                let unseen = self.parameters_only_in(&held_out_parts, linearized);
+                unseen.iter().for_each(|&parameter| step[parameter] = 0.0);
+                held_out.right -= &held_out.matrix * &step;
+                step += held_out.step(&none, &unseen);
+            }
             for ((all, part), source) in all.iter_mut().zip(&held_out_parts).zip(self.sources) {
                 all.push(part.after(&(&source.columns * &step)));
             }
         }
         all.iter().map(|folds| rms_residual(folds)).collect()
+    }
+
+    fn own_parameters(&self) -> Vec<usize> {
+        (self.parameters.shared()..self.parameters.width()).collect()
+    }
+
+    /// Streams' own parameters that no sample outside `part` depends on.
+    fn parameters_only_in(
+        &self,
+        part: &[LinearizedStream],
+        all: &[LinearizedStream],
+    ) -> Vec<usize> {
+        let is_elsewhere = |parameter: usize| {
+            part.iter().zip(all).enumerate().any(|(s, (part, all))| {
+                let own = self.parameters.of_stream(s);
+                part.linear.len() < all.linear.len()
+                    && (own.reference.contains(&parameter)
+                        || own.tool.contains(&parameter)
+                        || own.latency == Some(parameter))
+            })
+        };
+        self.own_parameters().into_iter().filter(|&parameter| !is_elsewhere(parameter)).collect()
+    }
+
+    /// Fits free positions with nominal links, whose initial values are only guesses.
+    fn start(&self, state: &mut CalibrationState) -> Option<Vec<LinearizedStream>> {
+        let is_position = |frame| matches!(frame, FrameFreedom::Position(_));
+        let has_positions = self.sources.iter().any(|source| {
+            is_position(source.stream.reference_freedom) || is_position(source.stream.tool_freedom)
+        });
+        let mut linearized = self.linearize(state, None)?;
+        for _ in (0..START_ROUNDS).filter(|_| has_positions) {
+            let none = DVector::zeros(self.parameters.width());
+            let step = self.sample_normal(&linearized).step(&none, &self.own_parameters());
+            self.advance(state, &step);
+            linearized = self.linearize(state, Some(0.0))?;
+        }
+        Some(linearized)
+    }
+
+    fn distances_m(&self, state: &CalibrationState) -> Vec<f64> {
+        let between = |[a, b]: [usize; 2]| (self.point(a, state) - self.point(b, state)).norm();
+        self.distances.iter().map(|distance| between(distance.streams)).collect()
     }
 }

@@ -2,10 +2,12 @@
 //!
 //! Deviations have a prior N(0, s²), with 0.1° per mm; s maximises the marginal likelihood, as for the
 //! zeros in [`crate::selection::link_deviations`]. Gauss–Newton from the nominal model maximises the posterior,
-//! with weights for outliers and autocorrelation and sandwich covariances (White 1980). Reference:
+//! with weights for outliers and autocorrelation and sandwich covariances (White 1980). A point of the tool that
+//! stays at an unknown place (a ball in a socket) is a stream of positions in a frame with a free origin. Reference:
 //! Hollerbach, Khalil, Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
 
 mod fit;
+mod fixed_point;
 mod parameters;
 mod system;
 #[cfg(test)]
@@ -13,6 +15,7 @@ mod tests;
 mod undetermined;
 mod workspace;
 
+pub use self::fixed_point::FixedPoint;
 use crate::Measured;
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
@@ -46,12 +49,48 @@ pub struct CalibrationStream<'a> {
     pub skew: f64,
     /// `stream_from_base`: known, or initial if free.
     pub reference: Pose,
-    /// Whether it is estimated.
-    pub reference_is_free: bool,
+    /// Its estimated part.
+    pub reference_freedom: FrameFreedom,
     /// `tip_from_tool`: known, or initial if free.
     pub tool: Pose,
-    /// Whether it is estimated.
-    pub tool_is_free: bool,
+    /// Its estimated part.
+    pub tool_freedom: FrameFreedom,
+    /// Streams of one group are held out together; `None` holds out blocks of samples.
+    pub held_out_group: Option<usize>,
+}
+
+/// Estimated part of a frame. Streams whose frames have the same number share one frame, with the same initial
+/// value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameFreedom {
+    /// Known.
+    Known,
+    /// Its origin; the stream has no rotations.
+    Position(usize),
+    /// Origin and rotation.
+    Pose(usize),
+}
+
+impl FrameFreedom {
+    /// Number of estimated components.
+    pub fn width(self) -> usize {
+        match self {
+            Self::Known => 0,
+            Self::Position(_) => 3,
+            Self::Pose(_) => 6,
+        }
+    }
+}
+
+/// Known distance of the points of two streams, whose poses are a fixed point at their origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointDistance {
+    /// Indices of the streams.
+    pub streams: [usize; 2],
+    /// Distance, m.
+    pub distance_m: f64,
+    /// Its standard deviation, m.
+    pub std_error_m: f64,
 }
 
 /// Component of a link's deviation.
@@ -74,7 +113,8 @@ pub struct CalibrationResidual {
     pub rad: f64,
 }
 
-/// Calibration of a stream. `held_out` is cross-validated over five folds of contiguous blocks.
+/// Calibration of a stream. `held_out` is cross-validated over the groups of streams, otherwise over five folds of
+/// contiguous blocks. The own frames of a held-out group are fitted to it.
 #[derive(Clone, Debug)]
 pub struct StreamCalibration {
     /// Samples used.
@@ -99,6 +139,8 @@ pub struct StreamCalibration {
     pub inflation: [f64; 2],
     /// Range per joint, rad or m.
     pub spans: Vec<f64>,
+    /// Position error of each sample with the calibrated links, m.
+    pub errors_m: Vec<f64>,
 }
 
 /// Link parameters that the logs do not determine.
@@ -138,6 +180,8 @@ pub struct ArmCalibration {
     pub dof: f64,
     /// Per stream.
     pub streams: Vec<StreamCalibration>,
+    /// Distance of each pair of points with the nominal and the calibrated links, m.
+    pub distances_m: Vec<[f64; 2]>,
     /// Directions that the logs do not determine.
     pub undetermined: Vec<UndeterminedDirection>,
     /// Rms in standard deviations. `None` if converged.
@@ -186,7 +230,7 @@ impl ArmCalibration {
     }
 }
 
-/// Calibrates `robot`. The chain's joints `zeros` have free zeros.
+/// Calibrates `robot`. The chain's joints `zeros` have free zeros; `distances` are known.
 ///
 /// # Errors
 /// If the chain or the samples do not permit a calibration.
@@ -194,6 +238,7 @@ pub fn calibrate_arm(
     robot: &Robot,
     streams: &[CalibrationStream],
     zeros: &[usize],
+    distances: &[PointDistance],
 ) -> Result<ArmCalibration, CalibrationFailure> {
-    fit::fit(robot, streams, zeros)
+    fit::fit(robot, streams, zeros, distances)
 }

@@ -2,13 +2,14 @@
 //!
 //! Deviations along or about a joint's axis have the same effect before and after the joint (for a
 //! prismatic joint: all translations and the rotation about its axis). By convention they belong to the
-//! frame before it. This leaves the minimal 4n + 6 parameters for n revolute joints (Everett, Driels and
+//! frame before it. A rotation about the next joint's axis is that joint's zero, if it is free. This leaves the minimal 4n + 6 parameters for n revolute joints (Everett, Driels and
 //! Mooring, *Kinematic modelling for robot calibration*, ICRA 1987).
 
-use super::{CalibrationStream, LinkParameter};
+use super::{CalibrationStream, FrameFreedom, LinkParameter};
 use ground::geometry::{Pose, Vec3};
-use ground::robot::LinkPath;
+use ground::robot::{Chain, LinkPath};
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 
 use crate::priors::FREE_PRIOR;
 /// 0.1° per mm.
@@ -19,47 +20,65 @@ pub(super) struct CalibrationParameters {
     pub links: Vec<LinkParameter>,
     /// Joints with a free zero.
     pub zeros: Vec<usize>,
-    /// First parameter per stream, then the total.
-    starts: Vec<usize>,
+    width: usize,
     joints: usize,
-    free_parameters: Vec<FreeStreamParameters>,
+    streams: Vec<StreamParameters>,
     base_from_first: Vec<Pose>,
+    /// Derivative of the arm's scale, relative to its nominal size, by each parameter.
+    pub scale: DVector<f64>,
 }
 
-#[derive(Clone, Copy)]
-pub(super) struct FreeStreamParameters {
-    pub latency: bool,
-    pub reference: bool,
-    pub tool: bool,
+/// Indices of a stream's own parameters: 0 for a known frame, 3 for a position, 6 for a pose.
+#[derive(Clone)]
+pub(super) struct StreamParameters {
+    pub reference: Range<usize>,
+    pub tool: Range<usize>,
+    pub latency: Option<usize>,
 }
 
-impl FreeStreamParameters {
-    fn width(self) -> usize {
-        usize::from(self.latency) + 6 * (usize::from(self.reference) + usize::from(self.tool))
+/// Assigns parameters to frames; streams can share them.
+struct FrameAllocation {
+    next: usize,
+    frames: Vec<(FrameFreedom, Range<usize>)>,
+}
+
+impl FrameAllocation {
+    fn range(&mut self, frame: FrameFreedom) -> Range<usize> {
+        if let Some((_, range)) = self.frames.iter().find(|(known, _)| *known == frame) {
+            return range.clone();
+        }
+        let range = self.next..self.next + frame.width();
+        self.next = range.end;
+        self.frames.push((frame, range.clone()));
+        range
     }
 }
 
 impl CalibrationParameters {
     pub fn new(
         path: &LinkPath,
+        chain: &Chain,
         streams: &[CalibrationStream],
         paths: &[LinkPath],
         zeros: Vec<usize>,
     ) -> Self {
         let joints = path.axes.len();
-        let own: Vec<FreeStreamParameters> = streams
-            .iter()
-            .map(|stream| FreeStreamParameters {
-                latency: stream.latency_is_free,
-                reference: stream.reference_is_free,
-                tool: stream.tool_is_free || !path.can_deviate(joints),
-            })
-            .collect();
+        let tool_of = |(s, stream): (usize, &CalibrationStream)| match stream.tool_freedom {
+            // Above the numbers of shared tools.
+            FrameFreedom::Known if !path.can_deviate(joints) => FrameFreedom::Pose(usize::MAX - s),
+            given => given,
+        };
+        let tools: Vec<FrameFreedom> = streams.iter().enumerate().map(tool_of).collect();
+        let (next_axes, next_origins) = next_joints(chain);
+        let is_zero = |link: usize, direction: &Vec3| {
+            zeros.contains(&link) && direction.dot(&next_axes[link]).abs() > 1.0 - 1e-9
+        };
+        let is_known = |frame: FrameFreedom| frame == FrameFreedom::Known;
         let mut links = Vec::new();
         for link in 0..=joints {
             let is_seen = match link {
-                0 => own.iter().any(|own| !own.reference),
-                _ if link == joints => own.iter().any(|own| !own.tool),
+                0 => streams.iter().any(|stream| is_known(stream.reference_freedom)),
+                _ if link == joints => tools.iter().any(|tool| is_known(*tool)),
                 _ => true,
             };
             if !is_seen || !path.can_deviate(link) {
@@ -67,6 +86,9 @@ impl CalibrationParameters {
             }
             for turns in [false, true] {
                 for direction in distinguishable_axes(path, link, turns) {
+                    if turns && is_zero(link, &direction) {
+                        continue;
+                    }
                     links.push(LinkParameter {
                         link,
                         is_rotation: turns,
@@ -75,26 +97,45 @@ impl CalibrationParameters {
                 }
             }
         }
-        let mut starts = vec![links.len() + zeros.len()];
-        for own in &own {
-            starts.push(starts[starts.len() - 1] + own.width());
+        let [mut references, mut own_tools] =
+            [(); 2].map(|()| FrameAllocation { next: 0, frames: Vec::new() });
+        let mut next = links.len() + zeros.len();
+        let mut own = Vec::with_capacity(streams.len());
+        for (stream, tool) in streams.iter().zip(tools) {
+            references.next = next;
+            let reference = references.range(stream.reference_freedom);
+            own_tools.next = references.next;
+            let tool = own_tools.range(tool);
+            next = own_tools.next + usize::from(stream.latency_is_free);
+            let latency = stream.latency_is_free.then(|| next - 1);
+            own.push(StreamParameters { reference, tool, latency });
         }
         let base_from_first = paths.iter().map(|path| path.base_from_first).collect();
-        Self { links, zeros, starts, joints, free_parameters: own, base_from_first }
+        // A uniform scale lengthens each link along its nominal length.
+        let mut scale = DVector::zeros(next);
+        for (along, one) in scale.iter_mut().zip(&links).filter(|(_, one)| !one.is_rotation) {
+            let length = next_origins.get(one.link).copied().unwrap_or_default();
+            *along = Vec3::from(one.direction).dot(&length);
+        }
+        let squares = scale.norm_squared();
+        if squares > 0.0 {
+            scale /= squares;
+        }
+        Self { links, zeros, width: next, joints, streams: own, base_from_first, scale }
     }
 
     /// Number of parameters.
     pub fn width(&self) -> usize {
-        self.starts[self.starts.len() - 1]
+        self.width
     }
 
     /// Number of shared parameters.
     pub fn shared(&self) -> usize {
-        self.starts[0]
+        self.links.len() + self.zeros.len()
     }
 
-    pub fn free_parameters_of(&self, stream: usize) -> FreeStreamParameters {
-        self.free_parameters[stream]
+    pub fn of_stream(&self, stream: usize) -> &StreamParameters {
+        &self.streams[stream]
     }
 
     /// Precision per parameter.
@@ -118,34 +159,33 @@ impl CalibrationParameters {
     /// Maps parameters to columns of `nominal_model::link_frames`: reference, each joint's child
     /// link, latency, zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
-        let own = self.free_parameters[stream];
-        let mut columns =
-            self.shared_columns_where(stream, own).resize_horizontally(self.width(), 0.0);
-        let latency = 6 * (self.joints + 1);
-        let mut at = self.starts[stream];
-        let mut frame = |link: usize, is_free: bool| {
-            if is_free {
-                (0..6).for_each(|axis| columns[(6 * link + axis, at + axis)] = 1.0);
-                at += 6;
+        let own = &self.streams[stream];
+        let [reference, tool] = [&own.reference, &own.tool].map(|frame| !frame.is_empty());
+        let mut columns = self
+            .shared_columns_where(stream, reference, tool)
+            .resize_horizontally(self.width(), 0.0);
+        for (link, frame) in [(0, &own.reference), (self.joints, &own.tool)] {
+            for (axis, parameter) in frame.clone().enumerate() {
+                columns[(6 * link + axis, parameter)] = 1.0;
             }
-        };
-        frame(0, own.reference);
-        frame(self.joints, own.tool);
-        if own.latency {
-            columns[(latency, at)] = 1.0;
+        }
+        if let Some(latency) = own.latency {
+            columns[(6 * (self.joints + 1), latency)] = 1.0;
         }
         columns
     }
 
     /// Maps the shared parameters, with known frames.
     pub fn shared_columns(&self, stream: usize) -> DMatrix<f64> {
-        self.shared_columns_where(
-            stream,
-            FreeStreamParameters { latency: false, reference: false, tool: false },
-        )
+        self.shared_columns_where(stream, false, false)
     }
 
-    fn shared_columns_where(&self, stream: usize, own: FreeStreamParameters) -> DMatrix<f64> {
+    fn shared_columns_where(
+        &self,
+        stream: usize,
+        reference_is_free: bool,
+        tool_is_free: bool,
+    ) -> DMatrix<f64> {
         let latency = 6 * (self.joints + 1);
         let mut columns = DMatrix::zeros(latency + 1 + self.joints, self.shared());
         for (at, one) in self.links.iter().enumerate() {
@@ -155,14 +195,14 @@ impl CalibrationParameters {
                 false => (direction, Vec3::zeros()),
             };
             let (shift, turn) = match one.link {
-                0 if own.reference => continue,
+                0 if reference_is_free => continue,
                 0 => {
                     // Transform to the stream's reference, where the columns are derivatives.
                     let frame = &self.base_from_first[stream];
                     let turn = frame.rotation * turn;
                     (frame.rotation * shift + frame.translation.vector.cross(&turn), turn)
                 }
-                link if link == self.joints && own.tool => continue,
+                link if link == self.joints && tool_is_free => continue,
                 _ => (shift, turn),
             };
             for axis in 0..3 {
@@ -187,11 +227,19 @@ impl CalibrationParameters {
         }
         all
     }
+}
 
-    /// A stream's own parameters.
-    pub fn stream_range(&self, stream: usize) -> std::ops::Range<usize> {
-        self.starts[stream]..self.starts[stream + 1]
-    }
+/// Axis and origin of the joint after each link, in that link. The base comes first.
+fn next_joints(chain: &Chain) -> (Vec<Vec3>, Vec<Vec3>) {
+    let mut frames = Vec::new();
+    chain.joint_frames(&vec![0.0; chain.dof()], &mut frames);
+    let before = std::iter::once(Pose::identity()).chain(frames.iter().copied());
+    let both = before.zip(&frames).zip(chain.joint_axes());
+    both.map(|((link, next), axis)| {
+        let link_from_next = link.inverse() * next;
+        (link_from_next.rotation * axis, link_from_next.translation.vector)
+    })
+    .unzip()
 }
 
 /// Unit vectors along which a link's deviation is distinguishable from one before its joint.

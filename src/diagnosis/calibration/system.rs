@@ -1,7 +1,7 @@
 //! Linearised pose streams of a calibration, and steps to the maximum of the posterior.
 
-use super::CalibrationStream;
 use super::parameters::CalibrationParameters;
+use super::{CalibrationStream, FrameFreedom, PointDistance};
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist,
 };
@@ -11,6 +11,8 @@ use crate::solver::linear::{Linear, Normal, Weight};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use std::collections::BTreeSet;
+use std::ops::Range;
 
 /// Per stream; more do not improve the estimate.
 const MAX_SAMPLES: usize = 20_000;
@@ -33,15 +35,14 @@ pub(super) struct LinearizedStream {
 
 impl LinearizedStream {
     /// Every fifth block, starting at `fold`.
-    fn fold(&self, fold: usize) -> Vec<usize> {
+    fn blocks(&self, fold: usize) -> Vec<usize> {
         let stretch = self.linear.len().div_ceil(BLOCKS).max(1);
         (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
     }
 
-    pub fn part(&self, fold: usize) -> Self {
-        let samples = self.fold(fold);
-        let weights = self.weights.iter().map(|weight| weight.subset(&samples)).collect();
-        Self { linear: self.linear.subset(&samples), weights }
+    fn part(&self, samples: &[usize]) -> Self {
+        let weights = self.weights.iter().map(|weight| weight.subset(samples)).collect();
+        Self { linear: self.linear.subset(samples), weights }
     }
 
     pub fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
@@ -88,7 +89,7 @@ impl<'a> StreamSource<'a> {
             chain,
             columns: &stream.columns,
             gains: &[],
-            reference_known: !stream.reference_is_free,
+            reference_known: stream.reference_freedom == FrameFreedom::Known,
             rest_speeds: &self.rest_speeds,
             t_s: stream.t_s.clone(),
             xyz: self.xyz.clone(),
@@ -108,6 +109,7 @@ pub(super) struct CalibrationSystem<'a> {
     pub path: &'a LinkPath,
     pub parameters: &'a CalibrationParameters,
     pub sources: &'a [StreamSource<'a>],
+    pub distances: &'a [PointDistance],
 }
 
 impl CalibrationSystem<'_> {
@@ -139,11 +141,11 @@ impl CalibrationSystem<'_> {
         self.links_at(state).chain(stream.base, stream.tip).ok()
     }
 
-    /// Weights are from the residuals there.
+    /// Weights are from the residuals there. A fit absorbed `fitted_share` of their variance; `None` before a fit.
     pub fn linearize(
         &self,
         state: &CalibrationState,
-        is_solution: bool,
+        fitted_share: Option<f64>,
     ) -> Option<Vec<LinearizedStream>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
@@ -162,9 +164,13 @@ impl CalibrationSystem<'_> {
             if linear.len() < FOLDS {
                 return None;
             }
-            let weights = match is_solution {
-                true => linear.weights_after(&vec![0.0; linear.width]),
-                false => linear.first_weights(),
+            let weights = match fitted_share {
+                Some(share) => {
+                    let mut weights = linear.weights_after(&vec![0.0; linear.width]);
+                    weights.iter_mut().for_each(|one| one.noise.sigma /= (1.0 - share).sqrt());
+                    weights
+                }
+                None => linear.first_weights(),
             };
             Some(LinearizedStream { linear, weights })
         };
@@ -177,7 +183,69 @@ impl CalibrationSystem<'_> {
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
     }
 
-    pub fn normal(&self, linearized: &[LinearizedStream]) -> Normal {
+    /// Number of folds of a cross-validation, and whether they are the groups of streams.
+    pub fn folds(&self) -> (usize, bool) {
+        let groups = self.sources.iter().map(|source| source.stream.held_out_group);
+        match groups.collect::<Option<BTreeSet<usize>>>() {
+            Some(groups) if groups.len() > 1 => (groups.len(), true),
+            _ => (FOLDS, false),
+        }
+    }
+
+    /// The samples of fold `fold`.
+    pub fn fold(&self, linearized: &[LinearizedStream], fold: usize) -> Vec<LinearizedStream> {
+        let groups: BTreeSet<Option<usize>> =
+            self.sources.iter().map(|source| source.stream.held_out_group).collect();
+        let (_, by_group) = self.folds();
+        let group = groups.into_iter().nth(fold).flatten();
+        let of = |(source, stream): (&StreamSource, &LinearizedStream)| match by_group {
+            false => stream.part(&stream.blocks(fold)),
+            true if source.stream.held_out_group == group => {
+                stream.part(&(0..stream.linear.len()).collect::<Vec<_>>())
+            }
+            true => stream.part(&[]),
+        };
+        self.sources.iter().zip(linearized).map(of).collect()
+    }
+
+    /// Equations of all samples and distances.
+    pub fn normal(&self, linearized: &[LinearizedStream], state: &CalibrationState) -> Normal {
+        let mut normal = self.sample_normal(linearized);
+        let distances = self.distance_normal(state);
+        normal.matrix += distances.matrix;
+        normal.right += distances.right;
+        normal
+    }
+
+    /// Point of a stream in the base.
+    pub fn point(&self, s: usize, state: &CalibrationState) -> Vec3 {
+        state.streams[s].1.inverse().translation.vector
+    }
+
+    fn distance_normal(&self, state: &CalibrationState) -> Normal {
+        let mut normal = Normal::zeros(self.parameters.width());
+        for distance in self.distances {
+            let [a, b] = distance.streams;
+            let between = self.point(a, state) - self.point(b, state);
+            let Some(direction) = between.try_normalize(0.0) else { continue };
+            let weight = distance.std_error_m.powi(-2);
+            let residual = distance.distance_m - between.norm();
+            let mut along = DVector::zeros(self.parameters.width());
+            // The reference maps the point to the origin.
+            for (s, sign) in [(a, -1.0), (b, 1.0)] {
+                let reference = self.parameters.of_stream(s).reference.clone();
+                reference.take(3).enumerate().for_each(|(axis, parameter)| {
+                    along[parameter] += sign * direction[axis];
+                });
+            }
+            normal.right += weight * residual * &along;
+            normal.matrix += weight * &along * along.transpose();
+            normal.independent += 1.0;
+        }
+        normal
+    }
+
+    pub fn sample_normal(&self, linearized: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width());
         for (source, stream) in self.sources.iter().zip(linearized) {
             let all: Vec<usize> = (0..stream.linear.width).collect();
@@ -186,14 +254,27 @@ impl CalibrationSystem<'_> {
             normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
             normal.right += source.columns.transpose() * own.right;
             normal.cost += own.cost;
-            normal.independent += own.independent;
+            // Distances from a fixed point shrink with the arm. Relative to its size they do not:
+            // the derivative of r / (1 + scale).
+            if matches!(source.stream.reference_freedom, FrameFreedom::Position(_)) {
+                normal.right += own.cost * &self.parameters.scale;
+            }
+            // Excluded rotations are exact zeros.
+            normal.independent += match source.stream.is_rotation_excluded {
+                true => 3.0 * stream.linear.len() as f64 / stream.weights[0].noise.inflation(),
+                false => own.independent,
+            };
         }
         normal
     }
 
     /// Covariance of the scores, for the sandwich estimator.
-    pub fn scores(&self, linearized: &[LinearizedStream]) -> DMatrix<f64> {
-        let mut all = DMatrix::zeros(self.parameters.width(), self.parameters.width());
+    pub fn scores(
+        &self,
+        linearized: &[LinearizedStream],
+        state: &CalibrationState,
+    ) -> DMatrix<f64> {
+        let mut all = self.distance_normal(state).matrix;
         for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(linearized) {
             let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
             let mut information = DMatrix::zeros(linear.width, linear.width);
@@ -249,21 +330,21 @@ impl CalibrationSystem<'_> {
         // Neglects a product of frame errors, which the next iteration corrects.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
-            let own = self.parameters.free_parameters_of(s);
-            let mut part = step
-                .rows(self.parameters.stream_range(s).start, self.parameters.stream_range(s).len())
-                .into_iter()
-                .copied();
-            let mut twist = || -> Vec<f64> { part.by_ref().take(6).collect() };
-            if own.reference {
-                *reference *= pose_of_twist(&twist());
+            let own = self.parameters.of_stream(s);
+            let twist = |range: &Range<usize>| -> [f64; 6] {
+                let mut twist = [0.0; 6];
+                twist.iter_mut().zip(range.clone()).for_each(|(part, at)| *part = step[at]);
+                twist
+            };
+            if !own.reference.is_empty() {
+                *reference *= pose_of_twist(&twist(&own.reference));
             }
-            if own.tool {
+            if !own.tool.is_empty() {
                 let tip = self.last_from_tip(s);
-                *tool = tip.inverse() * pose_of_twist(&twist()) * tip * *tool;
+                *tool = tip.inverse() * pose_of_twist(&twist(&own.tool)) * tip * *tool;
             }
-            if own.latency {
-                *latency_s += part.next().unwrap_or(0.0);
+            if let Some(latency) = own.latency {
+                *latency_s += step[latency];
             }
         }
     }

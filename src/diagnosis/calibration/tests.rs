@@ -104,14 +104,15 @@ impl Case {
             latency_is_free: true,
             skew: 0.0,
             reference: Pose::identity(),
-            reference_is_free: false,
+            reference_freedom: FrameFreedom::Known,
             tool: Pose::identity(),
-            tool_is_free: false,
+            tool_freedom: FrameFreedom::Known,
+            held_out_group: None,
         }
     }
 
     fn calibrate(&self) -> ArmCalibration {
-        calibrate_arm(&self.nominal, &[self.stream()], &[]).expect("a calibration")
+        calibrate_arm(&self.nominal, &[self.stream()], &[], &[]).expect("a calibration")
     }
 
     /// Log with another base frame and tool.
@@ -119,9 +120,9 @@ impl Case {
         CalibrationStream {
             poses: self.poses.iter().map(|pose| world * pose * tool).collect(),
             reference: *world,
-            reference_is_free: true,
+            reference_freedom: FrameFreedom::Pose(0),
             tool: *tool,
-            tool_is_free: true,
+            tool_freedom: FrameFreedom::Pose(0),
             ..self.stream()
         }
     }
@@ -236,7 +237,8 @@ fn base_and_tool_frames_do_not_change_the_links() {
     let far = pose([1.3, -0.4, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0)));
     let places = [(Pose::identity(), tool), (far, tool), (far, Pose::identity())];
     let calibrate = places.map(|(world, tool)| {
-        calibrate_arm(&case.nominal, &[case.elsewhere(&world, &tool)], &[]).expect("a calibration")
+        calibrate_arm(&case.nominal, &[case.elsewhere(&world, &tool)], &[], &[])
+            .expect("a calibration")
     });
     let [a, b, c] = &calibrate;
     assert!(
@@ -271,7 +273,7 @@ fn several_logs_give_one_estimate() {
     let one = first.calibrate();
     let world = pose([0.4, 0.1, -0.2], rotation_from_rotvec(Vec3::new(0.0, 0.3, 1.0)));
     let streams = [first.stream(), second.elsewhere(&world, &Pose::identity())];
-    let both = calibrate_arm(&first.nominal, &streams, &[]).expect("a calibration");
+    let both = calibrate_arm(&first.nominal, &streams, &[], &[]).expect("a calibration");
     assert!(
         both.calibrated_uncertainty.m < one.calibrated_uncertainty.m,
         "{:?} {:?}",
@@ -298,7 +300,7 @@ fn a_joint_zero_of_degrees_is_absorbed_by_the_origin() {
     let mut off = case.joints.clone();
     off.q.chunks_exact_mut(6).for_each(|row| row[2] -= 0.03);
     let stream = CalibrationStream { joints: &off, ..case.stream() };
-    let calibrate = calibrate_arm(&case.nominal, &[stream], &[2]).expect("a calibration");
+    let calibrate = calibrate_arm(&case.nominal, &[stream], &[2], &[]).expect("a calibration");
     let chains = [&case.truth, &calibrate.robot]
         .map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
     let q = [0.3, -1.0, 0.9, -0.4, 1.1, 2.0];
@@ -307,4 +309,208 @@ fn a_joint_zero_of_degrees_is_absorbed_by_the_origin() {
     let error =
         chains[0].forward(&q).translation.vector - chains[1].forward(&reported).translation.vector;
     assert!(error.norm() < 8e-6, "{error}");
+}
+
+/// Configurations of `chain` that put the point `tool` of its tip at `socket`.
+fn configurations_at(
+    chain: &ground::robot::Chain,
+    socket: Vec3,
+    tool: Vec3,
+    count: usize,
+    noise_m: f64,
+    normal: &mut Normal,
+) -> Vec<Vec<f64>> {
+    let mut jacobian = vec![[0.0; 6]; chain.dof()];
+    let mut found = Vec::new();
+    while found.len() < count {
+        let at = socket + normal.triple(noise_m);
+        let mut q: Vec<f64> = (0..chain.dof()).map(|_| 0.9 * normal.next()).collect();
+        let mut error = f64::INFINITY;
+        for _ in 0..50 {
+            let tip = chain.forward_with_jacobian(&q, &mut jacobian);
+            let lever = tip.rotation * tool;
+            let residual = at - (tip.translation.vector + lever);
+            error = residual.norm();
+            let slopes = nalgebra::Matrix3xX::from_columns(
+                &jacobian
+                    .iter()
+                    .map(|&[x, y, z, rx, ry, rz]| {
+                        Vec3::new(x, y, z) + Vec3::new(rx, ry, rz).cross(&lever)
+                    })
+                    .collect::<Vec<_>>(),
+            );
+            let square: nalgebra::Matrix3<f64> =
+                &slopes * slopes.transpose() + 1e-6 * nalgebra::Matrix3::identity();
+            let Some(inverse) = square.try_inverse() else { break };
+            let step = slopes.transpose() * (inverse * residual);
+            q.iter_mut().zip(step.iter()).for_each(|(q, step)| *q += step.clamp(-0.3, 0.3));
+        }
+        if error < 1e-9 && q.iter().all(|q| q.abs() < 2.9) {
+            found.push(q);
+        }
+    }
+    found
+}
+
+fn track_of(rows: &[Vec<f64>]) -> JointTrack {
+    let mut track = JointTrack { dof: rows[0].len(), ..Default::default() };
+    for (at, row) in rows.iter().enumerate() {
+        for within_s in [0.0, 0.5] {
+            track.t_s.push(at as f64 + within_s);
+            track.q.extend(row);
+        }
+    }
+    track.qd = vec![0.0; track.q.len()];
+    track
+}
+
+const SOCKETS: [[f64; 3]; 6] = [
+    [0.5, 0.0, 0.02],
+    [0.5, 0.05, 0.02],
+    [0.35, 0.35, 0.1],
+    [0.35, 0.4, 0.1],
+    [0.4, -0.35, 0.25],
+    [0.4, -0.3, 0.25],
+];
+
+#[test]
+fn a_point_at_rest_calibrates_links_and_zeros_without_a_sensor() {
+    const NOISE_M: f64 = 5e-5;
+    const ZERO_RAD: f64 = 0.014;
+    let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(11));
+    let nominal = catalogue::find("franka_fer").expect("it is in the catalogue").clone();
+    let base = nominal.root();
+    let tip = nominal.link("fer_link8").or(nominal.leaf_links().last()).expect("a link");
+    let path = nominal.link_path(base, tip).expect("a path");
+    let deviations: Vec<Pose> = (0..path.links.len())
+        .map(|link| {
+            let is_end = link == 0 || link + 1 == path.links.len();
+            let scale = if is_end { 0.0 } else { 1.0 };
+            let mut twist = [0.0; 6];
+            for (first, size) in [(0, 0.4e-3), (3, 0.7e-3)] {
+                for direction in distinguishable_axes(&path, link, first > 0) {
+                    let value = scale * size * normal.next();
+                    (0..3).for_each(|axis| twist[first + axis] += value * direction[axis]);
+                }
+            }
+            pose_of_twist(&twist)
+        })
+        .collect();
+    let mut zeros = vec![0.0; path.axes.len()];
+    zeros[3] = ZERO_RAD;
+    let truth = nominal.with_deviations(&path, &deviations, &zeros);
+    let chain = truth.chain(base, tip).expect("a chain");
+    let tool = Vec3::new(0.01, -0.02, 0.12);
+    let tracks: Vec<JointTrack> = SOCKETS
+        .iter()
+        .map(|&socket| {
+            let rows = configurations_at(&chain, socket.into(), tool, 30, NOISE_M, &mut normal);
+            track_of(&rows)
+        })
+        .collect();
+    let stream = |(s, joints)| -> CalibrationStream<'_> {
+        let joints: &JointTrack = joints;
+        CalibrationStream {
+            joints,
+            columns: (0..joints.dof).collect(),
+            base,
+            tip,
+            t_s: (0..30).map(|at| f64::from(at) + 0.25).collect(),
+            poses: vec![Pose::identity(); 30],
+            excluded: [false; 3],
+            is_rotation_excluded: true,
+            latency_s: 0.0,
+            latency_is_free: false,
+            skew: 0.0,
+            reference: Pose::identity(),
+            reference_freedom: FrameFreedom::Position(s),
+            tool: Pose::identity(),
+            tool_freedom: FrameFreedom::Position(0),
+            held_out_group: Some(s / 2),
+        }
+    };
+    let streams: Vec<CalibrationStream> = tracks.iter().enumerate().map(stream).collect();
+    let distances: Vec<PointDistance> = [0, 2, 4]
+        .into_iter()
+        .map(|s| PointDistance { streams: [s, s + 1], distance_m: 0.05, std_error_m: 1e-4 })
+        .collect();
+    let found = calibrate_arm(&nominal, &streams, &[], &distances).expect("a calibration");
+    assert!(found.remaining_step.is_none(), "{:?}", found.remaining_step);
+    for one in &found.streams {
+        let noise_m = 3f64.sqrt() * NOISE_M;
+        assert!(one.before.m > 1e-3 && one.after.m < 1.1 * noise_m, "{one:?}");
+        assert!(one.held_out_before.m > 1e-3 && one.held_out_after.m < 2.0 * noise_m, "{one:?}");
+    }
+    assert!(found.distances_m.iter().all(|[_, after]| (after - 0.05).abs() < 1e-4));
+    // Without distances, the nominal lengths determine the scale.
+    let unscaled = calibrate_arm(&nominal, &streams, &[], &[]).expect("a calibration");
+    let point =
+        |s: usize| unscaled.streams[s].reference.expect("free").inverse().translation.vector;
+    for s in [0, 2, 4] {
+        let distance_m = (point(s) - point(s + 1)).norm();
+        assert!((distance_m - 0.05).abs() < 0.3e-3, "{distance_m}");
+    }
+    // Another place, with the point that was estimated.
+    let elsewhere = configurations_at(&chain, Vec3::new(0.3, 0.1, 0.5), tool, 30, 0.0, &mut normal);
+    let calibrated = found.robot.chain(base, tip).expect("a chain");
+    let rows = || elsewhere.iter().map(Vec::as_slice);
+    let [before, after] = [&nominal.chain(base, tip).expect("a chain"), &calibrated]
+        .map(|chain| FixedPoint::fit(chain, rows()).expect("rows").rms_m());
+    assert!(before > 1e-3 && after < 0.2e-3, "{before} {after}");
+}
+
+#[test]
+fn points_in_one_tracker_frame_share_it() {
+    let case = Case::new(8, 0.4e-3, 20.0, RICH);
+    let world = pose([1.3, -0.4, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0)));
+    let nests = [[0.05, 0.0, 0.1], [-0.04, 0.06, 0.08], [0.0, -0.05, 0.15]];
+    let near = pose([1.31, -0.41, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.01)));
+    let streams: Vec<CalibrationStream> = nests
+        .iter()
+        .enumerate()
+        .map(|(s, nest)| {
+            let tool = pose(*nest, rotation_from_rotvec(Vec3::zeros()));
+            CalibrationStream {
+                is_rotation_excluded: true,
+                reference: near,
+                reference_freedom: FrameFreedom::Pose(0),
+                tool: Pose::identity(),
+                tool_freedom: FrameFreedom::Position(s),
+                ..case.elsewhere(&world, &tool)
+            }
+        })
+        .collect();
+    let several = calibrate_arm(&case.nominal, &streams, &[], &[]).expect("a calibration");
+    let one = calibrate_arm(&case.nominal, &streams[..1], &[], &[]).expect("a calibration");
+    let tool = several.streams[0].tool.expect("an estimated point");
+    let m = distance_difference_m(&case, &several.robot, nests[0].into(), tool.translation.vector);
+    assert!(m < 15e-6, "{m}");
+    assert!(
+        several.calibrated_uncertainty.m < 0.8 * one.calibrated_uncertainty.m,
+        "{:?} {:?}",
+        several.calibrated_uncertainty,
+        one.calibrated_uncertainty
+    );
+    let references: Vec<_> = several.streams.iter().map(|one| one.reference).collect();
+    assert!(references.iter().all(|one| *one == references[0]));
+}
+
+/// Rms difference of the distances that a point of the tool travels, m: `truth` on the true arm, `found` on `robot`.
+fn distance_difference_m(case: &Case, robot: &Robot, truth: Vec3, found: Vec3) -> f64 {
+    let chains =
+        [&case.truth, robot].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
+    let at = |k: usize| -> Vec<f64> {
+        (0..6).map(|joint| 2.9 * ((k * 7 + 3 * joint) as f64 * 0.61).sin()).collect()
+    };
+    let squares: Vec<f64> = (0..200)
+        .map(|k| {
+            let [a, b] = [(&chains[0], truth), (&chains[1], found)].map(|(chain, point)| {
+                let [one, other] = [2 * k, 2 * k + 1].map(|k| chain.forward(&at(k)));
+                let of = |tip: Pose| tip.translation.vector + tip.rotation * point;
+                (of(one) - of(other)).norm()
+            });
+            (a - b).powi(2)
+        })
+        .collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }

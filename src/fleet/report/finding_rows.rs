@@ -40,6 +40,7 @@ pub(super) fn build_finding_rows(
             logs: found.logs.len(),
             passed: passed.get(&cause).copied().unwrap_or_default(),
             message: message.clone(),
+            paths: found.logs.keys().map(|(.., path)| path.clone()).collect(),
             path: path.clone(),
             start_ns: start_ns.map(|start_ns| start_ns.to_string()),
             title: title.clone(),

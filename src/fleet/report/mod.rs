@@ -249,6 +249,9 @@ pub struct FindingRow {
     pub passed: usize,
     /// Message in the latest log.
     pub message: String,
+    /// Paths of the logs with the finding, latest last.
+    #[serde(skip)]
+    pub paths: Vec<String>,
     /// Path of the latest log.
     pub path: String,
     /// Start of the latest log, decimal.

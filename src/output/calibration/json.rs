@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::audit::{CalibrationInput, CalibrationResult};
+use crate::audit::{CalibrationInput, CalibrationResult, Measurement};
 use crate::diagnosis::{
     CalibrationResidual, LinkParameter, StreamCalibration, UndeterminedDirection,
 };
@@ -68,6 +68,15 @@ impl CalibrationResult {
             .iter()
             .map(|one| json!({"joint": one.joint, "moved": one.moved, "unit": if one.slides { "m" } else { "rad" }}))
             .collect();
+        let distances: Vec<Value> = self
+            .distances
+            .iter()
+            .zip(&found.distances_m)
+            .map(|(known, [before, after])| {
+                let logs = known.streams.map(|s| self.streams[s].log.display().to_string());
+                json!({"logs": logs, "given_m": known.distance_m, "before_m": before, "after_m": after})
+            })
+            .collect();
         json!({
             "schema": CALIBRATION_SCHEMA,
             "tool": {"name": "poseaudit", "version": env!("CARGO_PKG_VERSION")},
@@ -85,6 +94,7 @@ impl CalibrationResult {
             "covariance": covariance,
             "workspace": {"expected": residual_json(&found.calibrated_uncertainty), "drawing": residual_json(&found.nominal_uncertainty)},
             "streams": streams,
+            "distances": distances,
             "left_out": self.left_out,
             "not_told": undetermined,
             "moved_little": still,
@@ -122,6 +132,12 @@ impl CalibrationResult {
                 .to_owned(),
         ];
         let found = &self.calibration;
+        if !found.zeros.is_empty() {
+            said.push(
+                "a rotation about the axis of the next joint is that joint's zero, if it is estimated"
+                    .to_owned(),
+            );
+        }
         let has = |link: usize| found.parameters.iter().any(|one| one.link == link);
         if !has(0) {
             said.push(format!(
@@ -167,13 +183,16 @@ fn frame_json(pose: &Option<Pose>) -> Option<Value> {
 }
 
 fn stream_json(taken: &CalibrationInput, stream: &StreamCalibration) -> Value {
+    let is_point = taken.measurement == Measurement::FixedPoint;
+    let point = stream.reference.filter(|_| is_point).map(|reference| xyz_of(&reference.inverse()));
     let latency = stream
         .latency_s
         .map(|latency| json!({"value": latency.value, "ci95": latency.interval(0.95)}));
     json!({
         "log": taken.log.display().to_string(), "topic": taken.topic, "witness": taken.source_kind.name(),
         "base": taken.base, "tip": taken.tip, "read_as": taken.encoding, "samples": stream.samples,
-        "latency_s": latency, "stream_from_base": frame_json(&stream.reference),
+        "latency_s": latency, "stream_from_base": frame_json(&stream.reference.filter(|_| !is_point)),
+        "fixed_point_in_base": point,
         "tip_from_tool": frame_json(&stream.tool),
         "before": residual_json(&stream.before), "after": residual_json(&stream.after),
         "held_out": {"before": residual_json(&stream.held_out_before), "after": residual_json(&stream.held_out_after)},

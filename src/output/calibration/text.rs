@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::io;
 
-use crate::audit::CalibrationResult;
-use crate::diagnosis::CalibrationResidual;
+use crate::audit::{CalibrationResult, Measurement};
+use crate::diagnosis::{CalibrationResidual, StreamCalibration};
 use crate::finding::Unit;
 use crate::report::sanitize_display;
 use crate::run::PoseSourceKind;
@@ -22,6 +22,9 @@ impl CalibrationResult {
 
     /// Depends on the source of the poses.
     pub(super) fn subject(&self) -> &'static str {
+        if self.streams.iter().all(|stream| stream.measurement == Measurement::FixedPoint) {
+            return "the arm itself, by a point of the tool that stays at one place";
+        }
         match self.source_kind() {
             PoseSourceKind::Controller => {
                 "the controller's own kinematics: its poses are computed from the same encoders and do not \
@@ -49,7 +52,10 @@ impl CalibrationResult {
             None => writeln!(text, "CALIBRATED  {name}: {}", sanitize_display(self.subject())),
             Some(why) => writeln!(text, "REFUSED     {name}: {}", sanitize_display(why)),
         };
-        for (taken, stream) in self.streams.iter().zip(&found.streams) {
+        let streams = || self.streams.iter().zip(&found.streams);
+        self.write_fixed_points(&mut text);
+        for (taken, stream) in streams().filter(|one| one.0.measurement != Measurement::FixedPoint)
+        {
             let reading =
                 taken.encoding.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
             let (log, topic, tip) = (
@@ -146,6 +152,62 @@ impl CalibrationResult {
             }
         }
         text
+    }
+
+    /// One line per file.
+    fn write_fixed_points(&self, text: &mut String) {
+        let found = &self.calibration;
+        let streams = || {
+            let all = self.streams.iter().zip(&found.streams);
+            all.filter(|one| one.0.measurement == Measurement::FixedPoint)
+        };
+        if streams().next().is_none() {
+            return;
+        }
+        let mm = |m: f64| format!("{:.3}", 1e3 * m);
+        let _ = writeln!(
+            text,
+            "\ndistance of the rows from their fixed point, mm rms: all files fitted, and each held-out position \
+             predicted from the others\n{:>5}  {:^21}  {:^21}",
+            "rows", "fitted", "held out"
+        );
+        for (taken, stream) in streams() {
+            let change = |before: &CalibrationResidual, after: &CalibrationResidual| {
+                format!("{:>9} → {:<9}", mm(before.m), mm(after.m))
+            };
+            let _ = writeln!(
+                text,
+                "{:>5}  {}  {}  {}",
+                stream.samples,
+                change(&stream.before, &stream.after),
+                change(&stream.held_out_before, &stream.held_out_after),
+                sanitize_display(taken.log.display())
+            );
+        }
+        let all = |of: fn(&StreamCalibration) -> f64| {
+            let squares: f64 = streams().map(|(_, one)| one.samples as f64 * of(one).powi(2)).sum();
+            mm((squares / streams().map(|(_, one)| one.samples as f64).sum::<f64>()).sqrt())
+        };
+        let _ = writeln!(
+            text,
+            "{:>5}  {:>9} → {:<9}  {:>9} → {:<9}  all",
+            streams().map(|(_, one)| one.samples).sum::<usize>(),
+            all(|one| one.before.m),
+            all(|one| one.after.m),
+            all(|one| one.held_out_before.m),
+            all(|one| one.held_out_after.m)
+        );
+        for (distance, [before, after]) in self.distances.iter().zip(&found.distances_m) {
+            let folder = self.streams[distance.streams[0]].log.parent();
+            let _ = writeln!(
+                text,
+                "distance of the two points in {}: {} → {} mm, given {} mm",
+                sanitize_display(folder.unwrap_or(std::path::Path::new(".")).display()),
+                mm(*before),
+                mm(*after),
+                mm(distance.distance_m)
+            );
+        }
     }
 
     fn largest_deviations(&self) -> Vec<(String, usize)> {
