@@ -33,7 +33,7 @@ def audit(
 ) -> Report:
     """Audits one recorded run; several files of one run are merged.
 
-    The options are those of `poseaudit audit`, with `_` for `-`: `audit("run.mcap", robot="ur5e",
+    The options equal the command's, `poseaudit audit`, with `_` for `-`: `audit("run.mcap", robot="ur5e",
     select=["LAT", "ZER001"], declare={"/tcp": "rotvec"})`.
 
     Findings do not raise: they are in the report. Raises `TypeError` for an unknown option, `CallError`

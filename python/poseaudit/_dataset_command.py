@@ -13,7 +13,7 @@ from ._options import SWITCHES, FleetOptions, names
 _FAILING, _MISUSE, _NONE_AUDITED = 1, 2, 3
 
 _EPILOG = """
-The other options are those of `poseaudit fleet`, such as --robot, --config, --select and --fail-on.
+The other options are passed to `poseaudit fleet`, such as --robot, --config, --select and --fail-on.
 
 Exit status: 0 nothing at or above --fail-on; 1 a finding, or an episode that could not be audited;
 2 invalid call, or huggingface_hub is missing; 3 no episode could be audited.

@@ -116,7 +116,7 @@ def _headline(report: Report) -> str:
 
 
 def _marked(node: pytest.Item, name: str) -> dict[str, Any]:
-    """Arguments of all markers with this name; those of the test override those of its class and module."""
+    """Arguments of all markers with this name; a test's override its class's, which override its module's."""
     merged: dict[str, Any] = {}
     for marker in reversed(list(node.iter_markers(name))):
         if marker.args:

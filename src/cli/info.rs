@@ -109,7 +109,7 @@ fn write_columns(table: &TableRow, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{}", rows.trim_fmt())?;
     let Some(layout) = &table.layout else { return Ok(()) };
     let layout = format!("--columns '{layout}'");
-    // The notes say why it is only a proposal.
+    // The notes explain why it is only a proposal.
     let line = match &table.layout_reason {
         None => layout,
         Some(_) => format!("proposal: {layout}"),

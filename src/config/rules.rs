@@ -184,7 +184,10 @@ impl RuleTable {
 struct AmountsOf(&'static Rule);
 
 #[derive(Deserialize)]
-#[serde(untagged, expecting = "expected a value with its unit, as in \"2 ms\", or a list of them")]
+#[serde(
+    untagged,
+    expecting = "expected a value with its unit, as in \"2 ms\", or a list of such values"
+)]
 enum OneOrMore {
     One(Quantity),
     More(Vec<Quantity>),

@@ -1,7 +1,6 @@
 //! Tables of one run whose clocks start at different times, such as 0 in one file and 1970 in another.
 //!
-//! The motion of the arm is in all of them: the offset is where the speeds of joints and tool agree best. Delays
-//! between such tables remain unknown.
+//! The speeds of joints and tool agree best at the offset of their clocks. Delays between such tables remain unknown.
 
 use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
 use crate::geometry::Vec3;
@@ -23,8 +22,8 @@ const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
 /// Correlation of the speeds of joints and tool at the offset.
 const MIN_CORRELATION: f64 = 0.8;
 /// Largest correlation at another offset, relative to the best, and the distance of other offsets, s.
-const MAX_RIVAL_SHARE: f64 = 0.95;
-const RIVAL_DISTANCE_S: f64 = 1.0;
+const MAX_COMPETITOR_SHARE: f64 = 0.95;
+const MIN_COMPETITOR_DISTANCE_S: f64 = 1.0;
 const MAX_ROWS: usize = 20_000;
 
 /// Topics on one clock.
@@ -88,7 +87,7 @@ fn shown(nanos: i64) -> String {
     format!("{:.3} s", seconds(nanos))
 }
 
-/// Receive times on the clock of the joints make the stream's stamps those of another clock.
+/// Sets receive times on the clock of the joints. The stream's stamps then belong to another clock.
 fn shift_receive_times(topic: &mut Topic, offset: i64) {
     for times in topic.columns.as_mut().map(Columns::times_mut).into_iter().flatten() {
         let stamps = times.header.iter();
@@ -120,7 +119,7 @@ fn clock_groups(topics: &[Topic]) -> Vec<ClockGroup> {
     groups
 }
 
-/// A pose of the group, and the offset that brings the group's stamps to those of the joints, ns.
+/// A pose of the group, and the offset from the group's clock to the joints' clock, ns.
 fn group_offset(
     log: &Log,
     options: &RunOptions,
@@ -180,8 +179,8 @@ fn group_offset(
         return Err(refuse("no offset makes the tool move as the joints do"));
     };
     let is_rival = |peak: &LagPeak| {
-        (peak.lag_s - top.lag_s).abs() > RIVAL_DISTANCE_S
-            && peak.correlation > MAX_RIVAL_SHARE * top.correlation
+        (peak.lag_s - top.lag_s).abs() > MIN_COMPETITOR_DISTANCE_S
+            && peak.correlation > MAX_COMPETITOR_SHARE * top.correlation
     };
     if peaks.iter().any(is_rival) {
         return Err(refuse("the motion repeats, so several offsets fit"));

@@ -45,7 +45,7 @@ class Viewer:
     def __init__(self, files: list[Path], folder: Path, programs: Path | None = None, log: str = "warn"):
         self.port, self.folder, self.log_file = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
         path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
-        # Separate settings, to ignore those of the user.
+        # Separate settings, so that the user's have no effect.
         homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
         environment = {**os.environ, **homes, "PATH": path, "RUST_LOG": log, "NO_COLOR": "1"}
         command = [VIEWER, *files, "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
@@ -170,7 +170,7 @@ def record_demo(program: Path, folder: Path) -> Path:
 
 
 def record_layer(program: Path, folder: Path) -> list[Path]:
-    """A log as the viewer converts it, with a point cloud at the tool, and the audit as a layer of it."""
+    """A log as the viewer converts it, with a point cloud at the tool, and the audit as its layer."""
     import math
 
     import rerun

@@ -67,6 +67,11 @@ const KNOWN: &str = "t, s, ns, q, qd, x, y, z, xyz, qx, qy, qz, qw, quat:xyzw, q
      euler:SEQ, rot[3], rot[4], matrix[12], a maker such as kuka, ? to identify, _ to ignore";
 
 impl Meaning {
+    /// Whether it belongs to the row, not to an arm or its commands.
+    fn is_of_row(self) -> bool {
+        matches!(self, Self::Ignored | Self::Open | Self::Time | Self::Seconds | Self::Nanoseconds)
+    }
+
     /// Whether `[COUNT]` repeats it.
     fn repeats(self) -> bool {
         matches!(self, Self::Ignored | Self::Open | Self::Joints | Self::JointVelocities)
@@ -621,16 +626,6 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
     if name.is_empty() {
         return Err(format!("a column has no meaning; known are {KNOWN}"));
     }
-    let of_row = |meaning: Meaning| {
-        matches!(
-            meaning,
-            Meaning::Ignored
-                | Meaning::Open
-                | Meaning::Time
-                | Meaning::Seconds
-                | Meaning::Nanoseconds
-        )
-    };
     let (meanings, count) = match name {
         "xyz" if count.is_none_or(|count| count == 3) => {
             ((0..3).map(Meaning::Axis).collect(), Some(1))
@@ -642,7 +637,7 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
         },
     };
     let meaning = meanings[0];
-    if of_row(meaning) && (arm.is_some() || is_command) {
+    if meaning.is_of_row() && (arm.is_some() || is_command) {
         return Err(format!("`{name}` cannot belong to an arm or be a command"));
     }
     let counts = meaning.counts();
@@ -822,14 +817,7 @@ mod tests {
                 let counts = meaning.counts();
                 let count = if counts.is_empty() { count } else { counts[count % counts.len()] };
                 let (has_length, has_angle) = meaning.has_units(count);
-                let is_of_row = matches!(
-                    meaning,
-                    Meaning::Ignored
-                        | Meaning::Open
-                        | Meaning::Time
-                        | Meaning::Seconds
-                        | Meaning::Nanoseconds
-                );
+                let is_of_row = meaning.is_of_row();
                 LayoutItem {
                     arm: arm.filter(|_| !is_of_row),
                     is_command: is_command && !is_of_row,

@@ -12,7 +12,7 @@ use crate::run::{Arm, PoseSource, Run};
 use crate::time::Stamp;
 
 impl Recording {
-    /// Registers the output file, and what is read for it.
+    /// Registers the output file and its inputs.
     pub fn register_outputs(&self, places: &mut PathRegistry) {
         self.mesh_roots.iter().for_each(|root| places.add_mesh_folder(root));
         self.base.iter().for_each(|base| places.add_input("--rrd-layer", base));

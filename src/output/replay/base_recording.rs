@@ -1,4 +1,4 @@
-//! Reads the ids and timelines of a recording, to which an audit is added as a layer.
+//! Reads the ids and timelines of a recording. An audit is added to it as a layer.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -92,13 +92,13 @@ impl BaseRecording {
         }
     }
 
-    /// Whether its timelines are those of a log that the viewer has read.
+    /// Whether it has a timeline of a log read by the viewer.
     pub(super) fn has_log_timelines(&self) -> bool {
         let TimelineNames { stamp, log } = TimelineNames::VIEWER;
         self.shared_timeline().is_some_and(|name| [stamp, log].contains(&name))
     }
 
-    /// A timeline whose cursor moves the recording and an audit. Without a footer, that of a log.
+    /// Timeline whose cursor moves both the recording and an audit. Without a footer, a log's timeline.
     pub fn shared_timeline(&self) -> Option<&'static str> {
         let names = [TimelineNames::VIEWER, TimelineNames::STANDALONE];
         let mut names = names.into_iter().flat_map(|names| [names.stamp, names.log]);
@@ -204,7 +204,7 @@ mod tests {
         assert_eq!((base.application.as_str(), base.id.as_str()), ("an-app", "rec-1"));
         assert_eq!(base.timelines, BTreeSet::from(["message_log_time".to_owned()]));
         assert_eq!(base.shared_timeline(), Some("message_log_time"));
-        // A recorder still writes: there is no footer.
+        // The recorder still writes, so the footer is missing.
         let unfinished = &encoder::encode(&messages[2..])?;
         let end = unfinished.len() / 2;
         let base = read(&unfinished[..end])?;
