@@ -5,13 +5,15 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::Path;
 
+use re_chunk::external::arrow;
 use re_log_encoding::{
     CachingApplicationIdInjector, CodecError, Decodable, Encodable, MessageHeader, MessageKind,
-    RawRrdManifest, RrdFooter, StreamHeader, ToApplication, ToTransport,
+    RrdFooter, StreamHeader, ToApplication, ToTransport,
 };
 use re_log_types::{LogMsg, StoreId, StoreKind};
 
 use super::timeline_writer::TimelineNames;
+use crate::boundary::catch_panic;
 
 type MessageFrame = Option<<LogMsg as ToTransport>::Output>;
 type FooterMessage = <RrdFooter as ToTransport>::Output;
@@ -39,6 +41,9 @@ pub enum BaseError {
     /// Not an RRD file.
     #[error("not a Rerun recording: {0}")]
     Decode(#[from] CodecError),
+    /// Arrow panics on some damage.
+    #[error("damaged footer: {0}")]
+    Damage(String),
     /// A blueprint only, or empty.
     #[error("contains no recording")]
     NoRecording,
@@ -68,7 +73,9 @@ impl BaseRecording {
             match frame.kind {
                 MessageKind::SetStoreInfo => stores.extend(recording_of(frame, file)?),
                 MessageKind::End => {
-                    timelines = timelines_of(&payload(frame, file)?)?;
+                    let footer = payload(frame, file)?;
+                    timelines =
+                        catch_panic(|| timelines_of(&footer)).map_err(BaseError::Damage)??;
                     break;
                 }
                 _ => {
@@ -138,18 +145,25 @@ fn recording_of(frame: MessageHeader, file: &mut impl Read) -> Result<Option<Sto
     }
 }
 
-/// Timelines of all recordings in the footer.
+/// Timelines of all recordings in the footer, from their schemas.
+///
+/// The tables of chunks beside them are not decoded: Arrow allocates whatever length a damaged one states.
 fn timelines_of(footer: &[u8]) -> Result<BTreeSet<String>, BaseError> {
-    let footer = FooterMessage::from_rrd_bytes(footer)?.to_application(())?;
-    let manifests = footer.manifests.into_iter();
-    let manifests = manifests.filter(|(store, _)| store.kind() == StoreKind::Recording);
+    let footer = FooterMessage::from_rrd_bytes(footer)?;
     let mut timelines = BTreeSet::new();
-    for (_, manifest) in manifests {
-        let schema = manifest.data.schema();
-        let temporal =
-            schema.fields().iter().filter(|field| RawRrdManifest::is_index_global_temporal(field));
-        let names = temporal.filter_map(|field| RawRrdManifest::get_index_name(field));
-        timelines.extend(names.map(str::to_owned));
+    for manifest in footer.manifests {
+        let store = manifest.store_id.and_then(|store| StoreId::try_from(store).ok());
+        if !store.is_some_and(|store| store.kind() == StoreKind::Recording) {
+            continue;
+        }
+        let Some(schema) = manifest.sorbet_schema.and_then(|schema| schema.arrow_schema) else {
+            continue;
+        };
+        let schema = arrow::ipc::convert::try_schema_from_ipc_buffer(&schema)
+            .map_err(CodecError::ArrowDeserialization)?;
+        let names =
+            schema.fields().iter().filter_map(|field| field.metadata().get("rerun:index_name"));
+        timelines.extend(names.cloned());
     }
     Ok(timelines)
 }
@@ -255,5 +269,19 @@ mod tests {
             bytes.truncate(bytes.len().saturating_sub(cut % 512));
             let _ = read(&bytes);
         }
+    }
+
+    #[test]
+    fn one_damaged_byte_is_an_error_or_reads_on() -> Result<(), Failure> {
+        let messages = recording(StoreKind::Recording, "rec-1", "log_time")?;
+        let bytes = encoder::encode(&messages)?;
+        for at in 0..bytes.len() {
+            for value in [0, 1, 64, 127, 128, 255] {
+                let mut damaged = bytes.clone();
+                damaged[at] = value;
+                let _ = read(&damaged);
+            }
+        }
+        Ok(())
     }
 }
