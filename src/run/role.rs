@@ -114,6 +114,9 @@ pub(super) const CAMERA_WORDS: &[&str] = &["camera", "cam", "optical", "rgb", "d
 const MOBILE_BASE_WORDS: &[&str] =
     &["odom", "odometry", "amcl", "slam", "localization", "gps", "initialpose", "footprint"];
 
+/// Words of tools.
+const TOOL_WORDS: &[&str] = &["tool", "tcp", "ee", "eef", "effector", "flange", "wrist"];
+
 /// Words of arrays that are not poses.
 const NON_POSE_WORDS: &[&str] = &[
     "joint",
@@ -182,9 +185,8 @@ pub(super) struct PoseTopic<'a> {
 }
 
 pub(super) fn role_by_content(topic: &str, columns: &Columns) -> Option<RoleDecision> {
-    let words = split_words(topic);
     let verdict = match columns {
-        Columns::Joints(_) => match command_word(topic, &words) {
+        Columns::Joints(_) => match command_word(topic) {
             Some(word) => (Role::Reference, format!("joint commands, by the word '{word}'")),
             None => (Role::Joints, "joint states".to_owned()),
         },
@@ -241,7 +243,7 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if pose.child != FrameKind::MovingLink && is_of_camera {
         return (Role::Target, format!("seen by a camera: its frame is '{frame_id}'"));
     }
-    if let Some(word) = find_word(&topic_words, COMMAND_WORDS) {
+    if let Some(word) = find_word(&decisive_words(topic), COMMAND_WORDS) {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     match pose.child {
@@ -263,7 +265,11 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if let Some(word) = find_word(&topic_words, MOBILE_BASE_WORDS)
         .or_else(|| find_word(&child_words, MOBILE_BASE_WORDS))
     {
-        return (Role::Unassigned, format!("the pose of a mobile base, by the word '{word}'"));
+        let role = match tool_word(topic) {
+            Some(_) => Role::Candidate { presumed: false },
+            None => Role::Unassigned,
+        };
+        return (role, format!("the pose of a mobile base, by the word '{word}'"));
     }
     if let Some(driver) = find_driver(&topic_words) {
         return (Role::Pose, format!("the topic name that {driver} use for the tool pose"));
@@ -321,7 +327,7 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
     if is_declared && is_pose_width {
         return (Role::Pose, "declared".to_owned());
     }
-    if let Some(word) = command_word(topic, &topic_words) {
+    if let Some(word) = command_word(topic) {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     if let Some(word) = find_word(&topic_words, NON_POSE_WORDS) {
@@ -337,11 +343,28 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
 }
 
 /// Word that marks a command. Table columns use additional words.
-fn command_word(topic: &str, words: &[String]) -> Option<&'static str> {
+fn command_word(topic: &str) -> Option<&'static str> {
     const COMMAND_COLUMN_WORDS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
-    find_word(words, COMMAND_WORDS)
-        .or_else(|| find_word(words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
+    let words = decisive_words(topic);
+    find_word(&words, COMMAND_WORDS)
+        .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
+}
+
+/// Words of a topic. If its last segment names a tool, those of a namespace such as `plan_a` say nothing about it, but
+/// a namespace such as `command` does.
+fn decisive_words(topic: &str) -> Vec<String> {
+    let (namespaces, name) = topic.rsplit_once('/').unwrap_or(("", topic));
+    let segments = namespaces.split('/').map(split_words);
+    let names_tool = tool_word(topic).is_some();
+    let segments = segments.filter(|words| !names_tool || words.len() == 1);
+    segments.flatten().chain(split_words(name)).collect()
+}
+
+/// Word for a tool in the topic's last segment.
+fn tool_word(topic: &str) -> Option<&'static str> {
+    let name = topic.rsplit_once('/').map_or(topic, |(_, name)| name);
+    find_word(&split_words(name), TOOL_WORDS)
 }
 
 pub(super) fn is_detection_frame(frame: &str) -> bool {
@@ -434,6 +457,12 @@ mod tests {
             ("/odom", ("odom", Unknown), ("base_link", StillLink), Role::Unassigned),
             ("/odom", ("odom", Unknown), ("base_footprint", Unknown), Role::Unassigned),
             ("/amcl_pose", map, none, Role::Unassigned),
+            ("/ee_pose_odom", base, none, weak),
+            ("/slam_cart/tool_pose", base, none, weak),
+            ("/plan_a/robot/tcp_pose", base, none, Role::Pose),
+            ("/cmd_station/measured_tool_pose", base, none, Role::Pose),
+            ("/command/tcp_pose", base, none, Role::Reference),
+            ("/goal_state/pose", base, none, Role::Reference),
             ("/grasp", ("tool0", MovingLink), none, Role::Unassigned),
         ] {
             assert_eq!(role(topic, frame, child), expected, "{topic} in {frame:?} of {child:?}");

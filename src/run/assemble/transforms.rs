@@ -217,6 +217,13 @@ impl Assembly<'_> {
             roots.all(|(arm, root)| child != root && !arm.tree.is_above(child, &root))
         };
         let is_link = |arm: &&Arm| arm.classify_frame(child).0 != FrameKind::Unknown;
+        // A link of an arm that the log names otherwise.
+        let is_in_moving_chain = |arm: &&Arm| {
+            arm.tree.edges().iter().any(|edge| {
+                let (above, below) = arm.tree.names(edge);
+                edge.kind == EdgeKind::Dynamic && (above == child || below == frame)
+            })
+        };
         if targets::is_detection(frame, child) && !arms.iter().any(is_link) {
             return true;
         }
@@ -232,7 +239,7 @@ impl Assembly<'_> {
                 }
             };
         }
-        !arms.is_empty() && carries_none()
+        !arms.is_empty() && carries_none() && !arms.iter().any(is_in_moving_chain)
     }
 
     pub(super) fn assign_tf(&mut self, index: usize) {
