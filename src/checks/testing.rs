@@ -135,6 +135,7 @@ pub fn clean_run() -> RunEvidence {
         name: ARM.to_owned(),
         joints_topic: JOINTS.to_owned(),
         is_trajectory: false,
+        joint_clock: None,
         has_unknown_units: false,
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),

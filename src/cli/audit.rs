@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use poseaudit::checks::Selector;
+use poseaudit::diagnosis::full_fit_count;
 use poseaudit::output::replay::{BaseRecording, Recording};
 use poseaudit::output::{fix, foxglove, plotjuggler, tables, tum};
 use poseaudit::report::{Format, Report, Trouble};
@@ -230,10 +231,12 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             let rules = &mut options.policy.rules;
             rules.required =
                 first_non_empty(args.require.clone(), std::mem::take(&mut rules.required));
-            with_progress(|progress| {
+            let audited = with_progress(|progress| {
                 options.read.progress = Some(progress);
                 poseaudit::audit(&options)
-            })
+            });
+            messages::print_detail("fits", || format!("{} of the arm", full_fit_count()));
+            audited
         }
     };
     let (report, unwritten) = match audited {

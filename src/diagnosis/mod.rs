@@ -99,7 +99,7 @@ use ground::geometry::{
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
-pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived};
+pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived, full_fit_count};
 pub use calibration::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FixedPoint,
     FkUncertainty, FrameFreedom, LinkParameter, PointDistance, StreamCalibration,

@@ -11,8 +11,8 @@ use super::poses::{DeclaredUnits, ImuEvidence, PoseEvidence, euler, unidentified
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
-    ArmDiagnosis, EncodingSpans, EstimateResult, JointDiagnosis, JointScale, NotObservable,
-    PoseDiagnosis, ResidualCheck, check_imu_residual, check_residual,
+    ArmDiagnosis, EncodingSpans, EstimateResult, JointDiagnosis, JointScale, LatencyProfile,
+    NotObservable, PoseDiagnosis, ResidualCheck, check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::Vec3;
@@ -28,6 +28,8 @@ pub struct ArmEvidence {
     pub joints_topic: String,
     /// Whether poses are in the place of joint states.
     pub is_trajectory: bool,
+    /// Steps of the joint states' clock, which their stamps are corrected for.
+    pub joint_clock: Option<LatencyProfile>,
     /// The unit of its positions is unknown: columns of a table, without a model.
     pub has_unknown_units: bool,
     /// First and last stamp of the joint states.
@@ -339,6 +341,7 @@ pub(super) fn arm_evidence(
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
         is_trajectory: arm.trajectory.is_some(),
+        joint_clock: diagnosis.joint_clock,
         has_unknown_units: false,
         span: span_or_run(run, joints_stream),
         joints,

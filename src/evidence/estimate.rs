@@ -1,10 +1,11 @@
 use rayon::prelude::*;
 
+use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
-    NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak, compensate_latency,
-    diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_run, fault_count,
-    position_misfit_m,
+    LatencyProfile, NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak,
+    compensate_latency, diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_run,
+    fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
@@ -24,6 +25,8 @@ pub(super) struct ArmStreamsDiagnosis {
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
     pub dh: Option<DhEvidence>,
+    /// Steps of the joint states' clock, if their stamps were corrected.
+    pub joint_clock: Option<LatencyProfile>,
 }
 
 /// Diagnoses every arm. Replaces an arm whose DH table uses the undeclared convention.
@@ -39,6 +42,13 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
             Some((arm, other)) => {
                 run.exchange_reference(index, arm);
                 other
+            }
+            None => found,
+        };
+        let found = match with_steady_joint_clock(run, &run.arms[index], &found, max_lag_s) {
+            Some((arm, steady)) => {
+                run.replace_arm(index, arm);
+                steady
             }
             None => found,
         };
@@ -86,6 +96,19 @@ fn with_other_reference(
             || ((is_usual() || is_simpler()) && other.is_as_good_as(&found.arm))
     });
     better.next()
+}
+
+/// Diagnosis with corrected stamps of the joint states, if all other streams are then steady.
+fn with_steady_joint_clock(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmStreamsDiagnosis,
+    max_lag_s: f64,
+) -> Option<(Arm, ArmStreamsDiagnosis)> {
+    let (arm, profile) = with_corrected_joint_stamps(arm, found)?;
+    let steady = diagnose_one(run, &arm, max_lag_s);
+    are_others_steady(&arm, &steady, &profile)
+        .then_some((arm, ArmStreamsDiagnosis { joint_clock: Some(profile), ..steady }))
 }
 
 /// Diagnosis under the undeclared DH convention. Skipped if `found`, under the declared one, explains the
@@ -210,7 +233,7 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
         _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), max_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
-    ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None }
+    ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None, joint_clock: None }
 }
 
 /// Corrected joint states. `None` if no encoding of the joints fits the poses.

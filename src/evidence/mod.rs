@@ -6,6 +6,7 @@ mod commands;
 mod estimate;
 mod hand_eye;
 mod joint_axes;
+mod joint_clock;
 mod joints;
 mod poses;
 mod samples;

@@ -86,6 +86,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         name: String::new(),
         joints_topic: run.streams[stream].topic.clone(),
         is_trajectory: false,
+        joint_clock: None,
         has_unknown_units: !run.streams[stream].cells.is_empty(),
         span: span_or_run(run, stream),
         joints,

@@ -10,6 +10,7 @@ use crate::time::Stamp;
 
 use super::Run;
 use super::rows::Rows;
+use super::set_back::continue_stamps;
 use super::velocities::{SmoothedJoint, VelocitySource, compare_velocities, smooth};
 
 /// Origin of one joint.
@@ -193,6 +194,7 @@ impl Run {
         };
         let clock = self.clocks_of(stream).first()?;
         let mut rows: Rows = clock.rows_of(&columns.times).collect();
+        continue_stamps(&mut rows, &columns.times.log);
         self.sample_filter.apply(stream, 0, &mut rows);
         let topic = JointTopic { stream, columns, rows };
         let seconds = |(stamp, _): &(Stamp, usize)| stamp.seconds_since(self.origin);

@@ -36,6 +36,7 @@ mod rounded;
 mod rows;
 mod sample_filter;
 mod segments;
+mod set_back;
 mod shared_stream;
 mod skeleton;
 mod source_kind;

@@ -351,13 +351,13 @@ fn command_word(topic: &str) -> Option<&'static str> {
         .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
 }
 
-/// Words of a topic. If its last segment names a tool, those of a namespace such as `plan_a` say nothing about it, but
-/// a namespace such as `command` does.
+/// Words of a topic. If its last segment names a tool or joint states, those of a namespace such as `plan_a` say
+/// nothing about it, but a namespace such as `command` does.
 fn decisive_words(topic: &str) -> Vec<String> {
     let (namespaces, name) = topic.rsplit_once('/').unwrap_or(("", topic));
     let segments = namespaces.split('/').map(split_words);
-    let names_tool = tool_word(topic).is_some();
-    let segments = segments.filter(|words| !names_tool || words.len() == 1);
+    let is_clear = tool_word(topic).is_some() || name.starts_with("joint_state");
+    let segments = segments.filter(|words| !is_clear || words.len() == 1);
     segments.flatten().chain(split_words(name)).collect()
 }
 
@@ -494,7 +494,11 @@ mod tests {
             role_by_content("/joint_states", &joints).map(|(role, _)| role),
             Some(Role::Joints)
         );
-        for topic in ["/isaac_joint_commands", "/arm_controller/state.reference"] {
+        let states = role_by_content("/target_robot/joint_states", &joints);
+        assert_eq!(states.map(|(role, _)| role), Some(Role::Joints));
+        for topic in
+            ["/isaac_joint_commands", "/arm_controller/state.reference", "/cmd/joint_states"]
+        {
             assert_eq!(
                 role_by_content(topic, &joints).map(|(role, _)| role),
                 Some(Role::Reference)

@@ -4,6 +4,7 @@ use super::excerpts::Excerpts;
 use super::rounded;
 use super::rows::Rows;
 use super::sample_filter::SampleFilter;
+use super::set_back::leave_out_overlaps;
 use super::streams::{Stream, StreamClocks};
 use crate::time::Clock;
 
@@ -51,29 +52,4 @@ impl Timing {
         self.sample_filter.share((stream, piece), self.clocks.streams());
         self.clocks.share(stream, piece);
     }
-}
-
-/// Removes rows after a clock was set back until it has caught up. Keeps single messages out of order.
-fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
-    /// Minimum consecutive rows with earlier stamps.
-    const BLOCK: usize = 10;
-    if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
-        return;
-    }
-    rows.sort_by_key(|(_, row)| received[*row]);
-    let mut latest = None;
-    let behind: Vec<bool> = rows
-        .iter()
-        .map(|(stamp, _)| {
-            let is_behind = latest.is_some_and(|latest| *stamp < latest);
-            latest = latest.max(Some(*stamp));
-            is_behind
-        })
-        .collect();
-    let blocks = behind.chunk_by(|a, b| a == b);
-    let kept: Vec<bool> = blocks
-        .flat_map(|block| std::iter::repeat_n(!block[0] || block.len() < BLOCK, block.len()))
-        .collect();
-    let mut kept = kept.into_iter();
-    rows.retain(|_| kept.next().unwrap_or(true));
 }

@@ -2,9 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::{
-    EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured, NotObservable,
-};
+use crate::diagnosis::{EstimateResult, LatencyProfile, LatencyShape, Measured, NotObservable};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -41,8 +39,8 @@ rule! {
     /// started at the time of a step.
     ///
     /// ## When it misleads
-    /// A latency that grows steadily is LAT002. Two or more independent streams may step at the same time by
-    /// the same latency, and none is constant. Then the joint states stepped the other way, and the only
+    /// A latency that grows steadily is LAT002. If two or more independent streams vary and are all steady once
+    /// a step is removed from the stamps of the joint states, the clock of the joint states stepped, and the only
     /// finding is on them. A single stream cannot show which of the two stepped. At rest a latency has no
     /// effect, so a step is dated to the next motion.
     LAT003 {
@@ -60,9 +58,7 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 5e-3, erro
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
 struct StreamProfile<'a> {
-    /// Stamps independent of the joint states'.
-    has_independent_stamps: bool,
-    profile: &'a EstimateResult<LatencyProfile>,
+    profile: EstimateResult<&'a LatencyProfile>,
     /// Latency after removing the profile.
     latency: Option<&'a Measured>,
     /// Several lags fit, so the profile may belong to a wrong one.
@@ -75,99 +71,30 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let poses = arm.poses_and_tf().map(|stream| {
-        let profile = &stream.diagnosis.latency_profile;
+        let profile = stream.diagnosis.latency_profile.as_ref().map_err(Clone::clone);
         let latency = stream.diagnosis.latency_s.as_ref().ok();
         stream.with_value(StreamProfile {
-            has_independent_stamps: stream.has_independent_stamps,
             profile,
             latency,
             is_periodic: stream.diagnosis.is_periodic(),
         })
     });
     let imus = arm.imus.iter().map(|imu| {
-        let profile = &imu.diagnosis.latency_profile;
+        let profile = imu.diagnosis.latency_profile.as_ref().map_err(Clone::clone);
         let latency = imu.diagnosis.latency_s.as_ref().ok();
         imu.with_value(StreamProfile {
-            has_independent_stamps: imu.has_independent_stamps,
             profile,
             latency,
             is_periodic: matches!(imu.diagnosis.latency_s, Err(NotObservable::Periodic(_))),
         })
     });
     let streams: Vec<StreamEvidence<StreamProfile>> = poses.chain(imus).collect();
-    let Some(profile) = joint_state_profile(case, &streams) else {
-        return streams.iter().map(|stream| judge(case, arm, stream)).collect();
-    };
-    let judge_with_joint_profile = |stream: &StreamEvidence<StreamProfile>| match stream.profile {
-        Ok(profile) if stream.has_independent_stamps => {
-            let remark = format!("its latency steps are those of {}", arm.joints_topic);
-            stream
-                .judged(Outcome::pass_with_remark(remark))
-                .estimated(estimate(case, profile, None))
-        }
-        _ => judge(case, arm, stream),
-    };
-    let value = StreamProfile {
-        has_independent_stamps: true,
-        profile: &Ok(profile),
-        latency: None,
-        is_periodic: false,
-    };
-    let joints =
-        StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
-    std::iter::once(judge(case, arm, &joints))
-        .chain(streams.iter().map(judge_with_joint_profile))
-        .collect()
-}
-
-/// If two or more independent streams step together and none is constant.
-fn joint_state_profile(
-    case: &Case,
-    streams: &[StreamEvidence<StreamProfile>],
-) -> Option<LatencyProfile> {
-    /// Between steps that count as one, s: each is dated to a window or to the next motion.
-    const MAX_STEP_TIME_DIFFERENCE_S: f64 = 1.5;
-    let mut profiles: Vec<&LatencyProfile> = Vec::new();
-    for profile in streams
-        .iter()
-        .filter(|one| one.has_independent_stamps)
-        .filter_map(|one| one.profile.as_ref().ok())
-    {
-        match decide(
-            &profile.swing_s,
-            &case.thresholds.threshold(&LAT003, THRESHOLD),
-            case.evidence.subjects(),
-        ) {
-            Decision::Fail(_) if !profile.steps.is_empty() => profiles.push(profile),
-            Decision::Undecided(_) => {}
-            Decision::Fail(_) | Decision::Pass => return None,
-        }
-    }
-    let by_error = |a: &&&LatencyProfile, b: &&&LatencyProfile| {
-        a.swing_s.std_error.total_cmp(&b.swing_s.std_error)
-    };
-    let most_certain = *profiles.iter().min_by(by_error).filter(|_| profiles.len() >= 2)?;
-    let is_shared = |jump: &LatencyStep| {
-        let is_same = |other: &LatencyStep| {
-            let by_s = case.thresholds.threshold(&LAT003, THRESHOLD).warning
-                + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
-            (other.at_s - jump.at_s).abs() < MAX_STEP_TIME_DIFFERENCE_S
-                && (other.size_s.value - jump.size_s.value).abs() < by_s
-        };
-        profiles.iter().all(|profile| profile.steps.iter().any(is_same))
-    };
-    let has_same_steps = |profile: &LatencyProfile| profile.steps.len() == most_certain.steps.len();
-    let shared =
-        most_certain.steps.iter().all(is_shared) && profiles.iter().all(|one| has_same_steps(one));
-    let reversed = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
-    shared.then(|| LatencyProfile {
-        swing_s: most_certain.swing_s.scaled(-1.0),
-        is_unsteady: true,
-        shape: LatencyShape::Steps,
-        steps: most_certain.steps.iter().map(reversed).collect(),
-        levels: most_certain.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
-        windows: most_certain.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
-    })
+    let joints = arm.joint_clock.as_ref().map(|profile| StreamEvidence {
+        subject: arm.topic(&arm.joints_topic),
+        span: Some(arm.span),
+        value: StreamProfile { profile: Ok(profile), latency: None, is_periodic: false },
+    });
+    joints.iter().chain(&streams).map(|stream| judge(case, arm, stream)).collect()
 }
 
 fn estimate(case: &Case, profile: &LatencyProfile, latency: Option<&Measured>) -> Estimate {
@@ -209,8 +136,8 @@ fn levels_around_change(
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>) -> SubjectResult {
-    let profile = match stream.profile {
-        Ok(profile) => profile,
+    let profile = match &stream.profile {
+        Ok(profile) => *profile,
         Err(why) => return stream.judged(not_observable(why, SETTLE)),
     };
     let outcome = match decide(
@@ -330,7 +257,8 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{IMU, JOINTS, POSE, clean_run, evaluate_rule, precise, steady};
+    use crate::checks::testing::{JOINTS, clean_run, evaluate_rule, precise, steady};
+    use crate::diagnosis::LatencyStep;
     use crate::finding::Status;
 
     #[test]
@@ -353,31 +281,17 @@ mod tests {
     }
 
     #[test]
-    fn a_common_jump_of_streams_is_attributed_to_the_joint_states() {
-        let jumps = |at_s: f64, size_s: f64| {
-            let jump = LatencyStep { at_s, size_s: precise(size_s) };
-            Ok(LatencyProfile {
-                swing_s: precise(size_s),
-                is_unsteady: true,
-                steps: vec![jump],
-                ..steady()
-            })
-        };
-        let with = |pose: EstimateResult<LatencyProfile>, imu: EstimateResult<LatencyProfile>| {
-            let mut run = clean_run();
-            let arm = &mut run.robots[0];
-            arm.poses[0].diagnosis.latency_profile = pose;
-            arm.imus[0].diagnosis.latency_profile = imu;
-            if let Some(tf) = &mut arm.tf {
-                tf.has_independent_stamps = false;
-                tf.diagnosis.latency_profile = Err(NotObservable::AtRest);
-            }
-            let found = evaluate_rule(&LAT003, &run).1.into_iter();
-            found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()
-        };
-        assert_eq!(with(jumps(4.0, -0.02), jumps(4.4, -0.021)), [JOINTS]);
-        assert_eq!(with(jumps(4.0, -0.02), jumps(9.0, -0.02)), [POSE, IMU]);
-        assert_eq!(with(jumps(4.0, -0.02), jumps(4.0, 0.02)), [POSE, IMU]);
-        assert_eq!(with(jumps(4.0, -0.02), Ok(steady())), [POSE]);
+    fn steps_of_the_joint_states_clock_are_reported_on_their_topic() {
+        let mut run = clean_run();
+        let jump = LatencyStep { at_s: 4.0, size_s: precise(0.02) };
+        run.robots[0].joint_clock = Some(LatencyProfile {
+            swing_s: precise(0.02),
+            is_unsteady: true,
+            steps: vec![jump],
+            ..steady()
+        });
+        let (_, findings) = evaluate_rule(&LAT003, &run);
+        let subjects = findings.iter().map(|finding| finding.subject.label());
+        assert_eq!(subjects.collect::<Vec<_>>(), [JOINTS]);
     }
 }

@@ -20,6 +20,7 @@ use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
 use std::f64::consts::FRAC_PI_2;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Per stream.
 pub(crate) const FIT_SAMPLES: usize = 4000;
@@ -40,6 +41,13 @@ pub(super) enum LinkModel {
     Fixed,
 }
 
+static FULL_FITS: AtomicUsize = AtomicUsize::new(0);
+
+/// Number of fits of an arm and its streams by this process.
+pub fn full_fit_count() -> usize {
+    FULL_FITS.load(Ordering::Relaxed)
+}
+
 pub(super) fn fit(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
@@ -49,6 +57,7 @@ pub(super) fn fit(
     if decoded.is_empty() {
         return None;
     }
+    FULL_FITS.fetch_add(1, Ordering::Relaxed);
     let observations: Vec<&PoseObservations> =
         decoded.iter().map(|decoded| &decoded.observations).collect();
     let fit_with = |may_confound_frames: bool| {

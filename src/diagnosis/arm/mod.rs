@@ -26,6 +26,7 @@ use crate::{
     StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
+pub use fit::full_fit_count;
 use fit::{LinkModel, fit};
 use ground::geometry::{Convention, QuaternionOrderError, Vec3};
 use ground::robot::JointKind;

@@ -114,6 +114,17 @@ pub(super) fn diagnose_scale_as_compliance(
     (log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER).then_some(after)
 }
 
+/// Whether sizes differ by less than they are uncertain.
+fn are_converged(terms: &[ComplianceTerm], before: &[ComplianceTerm]) -> bool {
+    /// Of the standard error.
+    const MAX_CHANGE_SHARE: f64 = 0.1;
+    let is_converged = |(now, before): (&ComplianceTerm, &ComplianceTerm)| {
+        let change = (now.size() - before.size()).abs();
+        change < CONVERGED_RAD.max(MAX_CHANGE_SHARE * now.std_error)
+    };
+    terms.len() == before.len() && terms.iter().zip(before).all(is_converged)
+}
+
 impl ArmRun<'_> {
     fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let is_explained = |after: &ArmDiagnosis| !after.streams.iter().any(has_large_residual);
@@ -234,17 +245,14 @@ impl ArmRun<'_> {
         let mut after = self.corrected(&search.to_compliance(&terms))?;
         for _ in 0..MAX_ROUNDS {
             // Causes that the corrected model dropped are not free.
-            let before: Vec<f64> = terms.iter().map(ComplianceTerm::size).collect();
+            let before = terms.clone();
             let samples = self.samples(&after.0, &after.1);
             search.on_samples(&samples).refine(
                 &mut terms,
                 &FreeParameters::from_selected(self, &after.1),
                 true,
             );
-            let mut moved = terms.iter().map(ComplianceTerm::size).zip(&before);
-            let is_converged = terms.len() == before.len()
-                && moved.all(|(size, before)| (size - before).abs() < CONVERGED_RAD);
-            if is_converged {
+            if are_converged(&terms, &before) {
                 break;
             }
             after = self.corrected(&search.to_compliance(&terms))?;

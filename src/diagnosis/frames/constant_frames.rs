@@ -160,6 +160,9 @@ pub(crate) fn tool_start(
 const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
 const LIMITS: Limits = Limits { steps: 25, min_gain: 1e-6 };
+/// Before the best starts are continued.
+const ROUGH_LIMITS: Limits = Limits { steps: 6, min_gain: 1e-3 };
+const CONTINUED_STARTS: usize = 2;
 
 /// Closed-form reference and tool frame (`A X = X B`; Park and Martin 1994).
 pub(crate) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
@@ -177,8 +180,14 @@ pub(crate) fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let turns = candidate_reference_rotations(&correlation, &by_positions.0.rotation);
     let starts =
         turns.into_iter().map(|turn| frames_for_rotation(turn, fk, logged)).chain([by_positions]);
-    starts
-        .filter_map(|start| minimize(&FramePair { fk, logged }, start, LIMITS))
+    let pair = FramePair { fk, logged };
+    let mut rough: Vec<(f64, (Pose, Pose))> =
+        starts.filter_map(|start| minimize(&pair, start, ROUGH_LIMITS)).collect();
+    rough.sort_by(|a, b| a.0.total_cmp(&b.0));
+    rough
+        .into_iter()
+        .take(CONTINUED_STARTS)
+        .filter_map(|(_, frames)| minimize(&pair, frames, LIMITS))
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(Default::default, |(_, frames)| frames)
 }

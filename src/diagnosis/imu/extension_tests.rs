@@ -1,7 +1,9 @@
 //! Tests whether IMU parameters vary over time: a step (sup-F over the change point: Andrews 1993), an
 //! exponential decay, or a dependence on another quantity. Each test extends one linearised model by
-//! weighted columns and evaluates the reduction of the residual.
+//! weighted columns. Extensions compete by the log Bayes factor over the base model, as diagnoses of an arm do
+//! (`selection::evidence`).
 
+use crate::priors::price;
 use crate::solver::linear::{Linear, Normal, Triangle};
 use crate::solver::noise::Noise;
 use crate::solver::robust::robust_sigma;
@@ -12,8 +14,6 @@ const COARSE_PIECES: usize = 240;
 const CHANGE_POINT_CANDIDATES: usize = 60;
 /// As a share of the run.
 const MIN_SIDE_SHARE: f64 = 0.06;
-/// In variances of independent noise. Autocorrelated noise does not reach it at any candidate.
-const MIN_GAIN: f64 = 45.0;
 const OUTLIER_SIGMAS: f64 = 8.0;
 
 pub(super) struct ExtensionTests<'a> {
@@ -22,9 +22,10 @@ pub(super) struct ExtensionTests<'a> {
     /// Free parameters of the base model.
     base: Vec<usize>,
     robust_weights: Vec<f64>,
-    floor: f64,
+    /// Error of the base model without any fault; smaller residuals distinguish no extensions.
+    model_error: f64,
     /// Residual sum of squares of the base model.
-    pub residual_squares: f64,
+    residual_squares: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -33,29 +34,31 @@ pub(super) struct ModelExtension {
     pub at_s: f64,
     /// 95 % interval.
     pub interval_s: [f64; 2],
+    /// Twice the log Bayes factor over the base model.
+    pub log_bayes_factor: f64,
     /// Residual sum of squares.
-    pub residual_squares: f64,
-    /// Reduction of the residual, in variances of independent noise.
-    gain: f64,
+    residual_squares: f64,
+    /// Variance of independent noise.
+    variance: f64,
 }
 
 impl ModelExtension {
-    /// Whether the reduction is significant.
-    pub fn is_significant(&self) -> bool {
-        self.gain > MIN_GAIN
+    /// Whether it is likelier than the base model.
+    pub fn is_likelier(&self) -> bool {
+        self.log_bayes_factor > 0.0
     }
 }
 
 impl<'a> ExtensionTests<'a> {
-    /// Tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below `floor` count as
-    /// noise.
-    pub fn new(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
+    /// Tests on `linear` with samples at `t_s` and free parameters `base`.
+    pub fn new(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], model_error: f64) -> Self {
         let residual = &linear.residual[0];
-        let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
+        let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(model_error) * 3f64.sqrt();
         let norm = |r: &[f64; 3]| r.iter().map(|c| c * c).sum::<f64>().sqrt();
         let robust_weights = residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
         let base = base.to_vec();
-        let mut tests = Self { linear, t_s, base, robust_weights, floor, residual_squares: 0.0 };
+        let mut tests =
+            Self { linear, t_s, base, robust_weights, model_error, residual_squares: 0.0 };
         tests.residual_squares = tests.residual_squares(&[], &[]).0;
         tests
     }
@@ -95,7 +98,7 @@ impl<'a> ExtensionTests<'a> {
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
         let mut extension = self.best_extension(columns, &[weight])?;
         // 95 % likelihood region.
-        let limit = extension.residual_squares + 3.84 * self.variance(&extension);
+        let limit = extension.residual_squares + 3.84 * extension.variance;
         let end = |sign: f64| {
             let mut step_s = 1.5 * (last - first) / self.len() as f64;
             let mut end_s = best_s;
@@ -127,27 +130,30 @@ impl<'a> ExtensionTests<'a> {
         Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..extension })
     }
 
-    /// Best extension by `columns`, each scaled by one of `weights` (one value per sample).
+    /// Best extension by `columns`, each scaled by one of `weights` (one value per sample). Counts one parameter for
+    /// the time, time constant or axis that selected the weights.
     pub fn best_extension(
         &self,
         columns: &[usize],
         weights: &[Vec<f64>],
     ) -> Option<ModelExtension> {
         let (residual_squares, parameters) = self.residual_squares(columns, weights);
-        let mut extension =
-            ModelExtension { at_s: 0.0, interval_s: [0.0; 2], residual_squares, gain: 0.0 };
         let residual = self.residual(columns, weights, &parameters);
-        let noise = Noise::estimate(&residual, &self.robust_weights, self.floor);
-        let dof = (3 * self.len()) as f64 - parameters.len() as f64;
-        let min_variance = self.floor.powi(2);
-        let variance = (residual_squares / dof).max(min_variance) * noise.inflation().max(1.0);
-        extension.gain = (self.residual_squares - residual_squares) / variance;
-        extension.gain.is_finite().then_some(extension)
-    }
-
-    /// Variance of independent noise.
-    fn variance(&self, extension: &ModelExtension) -> f64 {
-        (self.residual_squares - extension.residual_squares) / extension.gain.max(f64::MIN_POSITIVE)
+        let noise = Noise::estimate(&residual, &self.robust_weights, self.model_error);
+        let samples = 3.0 * self.len() as f64;
+        let inflation = noise.inflation().max(1.0);
+        let mean_square = |squares: f64| squares / samples + self.model_error.powi(2);
+        let independent = samples / inflation;
+        let ratio = mean_square(self.residual_squares) / mean_square(residual_squares);
+        let added = columns.len() * weights.len() + 1;
+        let log_bayes_factor = independent * ratio.ln() - price(independent) * added as f64;
+        log_bayes_factor.is_finite().then_some(ModelExtension {
+            at_s: 0.0,
+            interval_s: [0.0; 2],
+            log_bayes_factor,
+            residual_squares,
+            variance: mean_square(residual_squares) * inflation,
+        })
     }
 
     /// Also returns the parameters: the base, then `columns` for each set of weights.

@@ -185,15 +185,15 @@ pub fn fit_model(
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
     let lag_s = candidate_lags(joints, stream, max_lag_s);
-    let of = |lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s));
-    let candidates = lag_s.into_iter().filter_map(of);
-    let best = candidates
-        .map(|stream_with_fk| {
-            let fit = stream_with_fk.fit();
-            (fit.faultless_residual_m(), stream_with_fk, fit)
-        })
-        .min_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, stream_with_fk, mut fit) = best?;
+    let is_only = lag_s.len() == 1;
+    let at_lag = |lag_s| {
+        let stream_with_fk = StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s))?;
+        let residual_m = if is_only { 0.0 } else { stream_with_fk.residual_with_tool_m() };
+        Some((residual_m, stream_with_fk))
+    };
+    let candidates = lag_s.into_iter().filter_map(at_lag);
+    let (_, stream_with_fk) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let mut fit = stream_with_fk.fit();
     if tried == FitHypotheses::Faultless {
         return Some(fit);
     }
@@ -242,6 +242,10 @@ fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> V
     let peaks = lag_peaks(&joint_activity(joints), &speed, max_lag_s);
     let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
     std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
+}
+
+fn half_turn() -> Pose {
+    Pose::rotation(Vec3::z() * std::f64::consts::PI)
 }
 
 struct StreamWithFk<'a> {
@@ -310,11 +314,19 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
+    /// Residual with any tool, which every hypothesis without a fault restricts.
+    fn residual_with_tool_m(&self) -> f64 {
+        let most_general = [FitAssumption::Tool, FitAssumption::HalfTurn { tool: true }];
+        let fits = most_general.into_iter().filter_map(|it| self.fit_with(it, ToolPrior::None));
+        fits.map(|fit| fit.residual_m).fold(f64::INFINITY, f64::min)
+    }
+
     /// Fits to poses and joints as logged.
     fn faulty_fits(&self) -> Vec<HypothesisFit> {
-        let dof = self.stream.chain.dof();
-        let zeros = (0..dof)
-            .flat_map(|joint| [false, true].map(|tool| FitAssumption::Zero { joint, tool }));
+        let zeros = [false, true].into_iter().flat_map(|tool| {
+            let joints = self.likely_zeros(tool).into_iter();
+            joints.map(move |joint| FitAssumption::Zero { joint, tool })
+        });
         let references = [false, true].map(|tool| FitAssumption::Reference { tool });
         references
             .into_iter()
@@ -367,14 +379,61 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
+    /// Joints whose zeros reduce the linearised residual most.
+    fn likely_zeros(&self, tool: bool) -> Vec<usize> {
+        const MAX_JOINTS: usize = 3;
+        let dof = self.stream.chain.dof();
+        let is_free = !self.stream.reference_known;
+        let frames = 1 + dof..1 + dof + if is_free { 6 } else { 0 };
+        let free: Vec<usize> = (0..1 + dof).chain(frames).chain(7 + dof..10 + dof).collect();
+        let prior = if tool { ToolPrior::None } else { ToolPrior::Deviation };
+        let hypothesis = Hypothesis { stream: self, free: &free, prior };
+        let starts = self.starts(is_free).into_iter();
+        let linear = starts.filter_map(|start| hypothesis.linearize(&start));
+        let Some(linear) = linear.min_by(|a, b| a.cost().total_cmp(&b.cost())) else {
+            return Vec::new();
+        };
+        let cost_with = |joint: usize| {
+            let is_free = |at: &usize| !(1..=dof).contains(at) || *at == 1 + joint;
+            let parameters: Vec<usize> = (0..free.len()).filter(is_free).collect();
+            linear.cost_after(&parameters)
+        };
+        let mut joints: Vec<(f64, usize)> =
+            (0..dof).map(|joint| (cost_with(joint), joint)).collect();
+        joints.sort_by(|a, b| a.0.total_cmp(&b.0));
+        joints.into_iter().take(MAX_JOINTS).map(|(_, joint)| joint).collect()
+    }
+
+    /// Collinear positions leave the rotation about the line free, so a free reference starts from each usual frame.
+    fn starts(&self, is_reference_free: bool) -> Vec<FittedParameters> {
+        if !is_reference_free {
+            return vec![self.initial_parameters()];
+        }
+        let (rigid, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
+        let frames = [Pose::identity(), half_turn(), rigid];
+        frames.map(|reference| self.with_reference(reference)).to_vec()
+    }
+
+    fn with_reference(&self, reference: Pose) -> FittedParameters {
+        FittedParameters { reference, ..self.initial_parameters() }
+    }
+
     /// Fits the parameters of `assumption`, and an unknown reference. A tool is fitted twice: in any
     /// direction, and along the flange axis. Without a tool, a link deviation is fitted.
     fn fits_under(&self, assumption: FitAssumption) -> Vec<HypothesisFit> {
+        let priors: &[ToolPrior] = match assumption.has_tool() {
+            false => &[ToolPrior::Deviation],
+            true => &[ToolPrior::None, ToolPrior::AlongAxis],
+        };
+        priors.iter().filter_map(|&prior| self.fit_with(assumption, prior)).collect()
+    }
+
+    fn fit_with(&self, assumption: FitAssumption, prior: ToolPrior) -> Option<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
         let reference = match assumption {
             FitAssumption::Reference { .. } | FitAssumption::HalfTurn { .. } if is_free => {
-                return Vec::new();
+                return None;
             }
             FitAssumption::Reference { .. } => true,
             _ => is_free,
@@ -385,33 +444,19 @@ impl<'a> StreamWithFk<'a> {
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
-        let from = |reference: Pose| FittedParameters { reference, ..self.initial_parameters() };
-        let half_turn = Pose::rotation(Vec3::z() * std::f64::consts::PI);
-        let starts = match (assumption, reference) {
-            (FitAssumption::HalfTurn { .. }, _) => vec![from(half_turn)],
-            (_, false) => vec![self.initial_parameters()],
-            // Collinear positions leave the rotation about the line free, so start from each usual frame.
-            (_, true) => {
-                let (rigid, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
-                vec![self.initial_parameters(), from(half_turn), from(rigid)]
-            }
+        let starts = match assumption {
+            FitAssumption::HalfTurn { .. } => vec![self.with_reference(half_turn())],
+            _ => self.starts(reference),
         };
-        let priors: &[ToolPrior] = match assumption.has_tool() {
-            false => &[ToolPrior::Deviation],
-            true => &[ToolPrior::None, ToolPrior::AlongAxis],
-        };
-        let fits = priors.iter().filter_map(|&prior| {
-            let solutions = starts.iter().map(|start| self.solve(start.clone(), &free, prior));
-            let (residual_m, parameters) = solutions.min_by(|a, b| a.0.total_cmp(&b.0))?;
-            residual_m.is_finite().then_some(HypothesisFit {
-                assumption,
-                is_misinterpreted: false,
-                residual_m,
-                tool_m: parameters.tool,
-                lag_s: parameters.lag_s,
-            })
-        });
-        fits.collect()
+        let solutions = starts.into_iter().map(|start| self.solve(start, &free, prior));
+        let (residual_m, parameters) = solutions.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        residual_m.is_finite().then_some(HypothesisFit {
+            assumption,
+            is_misinterpreted: false,
+            residual_m,
+            tool_m: parameters.tool,
+            lag_s: parameters.lag_s,
+        })
     }
 
     /// Fits `free`, indexed as latency, joint zeros, reference, tool. Returns the residual over the best 90 %, rms m;

@@ -4,6 +4,9 @@ use crate::model::jacobian::Derivative;
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 
+/// Relative to the diagonal.
+const MIN_DAMPING: f64 = 1e-6;
+
 /// Problem linearised about a state.
 pub(crate) struct NormalEquations {
     /// Lower triangle of `AᵀA`, by rows.
@@ -63,17 +66,40 @@ impl NormalEquations {
         self.row = row;
     }
 
+    /// Sum of squares.
+    pub fn cost(&self) -> f64 {
+        self.cost
+    }
+
+    /// Cost after the least-squares step of these parameters alone. Infinite if the residuals do not determine them.
+    pub fn cost_after(&self, parameters: &[usize]) -> f64 {
+        let right = DVector::from_fn(parameters.len(), |i, _| self.right[parameters[i]]);
+        let step = self.solve(parameters, &right, MIN_DAMPING);
+        step.map_or(f64::INFINITY, |step| self.cost - right.dot(&step))
+    }
+
     /// Step with each diagonal entry increased by the share `damping`.
     fn step(&self, damping: f64) -> Option<DVector<f64>> {
-        let width = self.right.len();
+        let all: Vec<usize> = (0..self.right.len()).collect();
+        self.solve(&all, &self.right, damping)
+    }
+
+    /// Step of these parameters, ascending.
+    fn solve(
+        &self,
+        parameters: &[usize],
+        right: &DVector<f64>,
+        damping: f64,
+    ) -> Option<DVector<f64>> {
+        let width = parameters.len();
         let mut matrix = DMatrix::zeros(width, width);
-        for i in 0..width {
-            for j in 0..=i {
-                matrix[(i, j)] = self.triangle[i * (i + 1) / 2 + j];
+        for (i, &row) in parameters.iter().enumerate() {
+            for (j, &column) in parameters[..=i].iter().enumerate() {
+                matrix[(i, j)] = self.triangle[row * (row + 1) / 2 + column];
             }
             matrix[(i, i)] += damping * matrix[(i, i)] + f64::MIN_POSITIVE;
         }
-        matrix.cholesky().map(|cholesky| cholesky.solve(&self.right))
+        matrix.cholesky().map(|cholesky| cholesky.solve(right))
     }
 }
 
@@ -102,8 +128,6 @@ pub(crate) fn minimize<P: LeastSquares>(
     start: P::State,
     limits: Limits,
 ) -> Option<(f64, P::State)> {
-    /// Relative to the diagonal.
-    const MIN_DAMPING: f64 = 1e-6;
     const MAX_DAMPING: f64 = 1e3;
     const DAMPING_FACTOR: f64 = 10.0;
     let mut state = start;

@@ -30,12 +30,8 @@ impl GyroModel<'_> {
         }
     }
 
-    /// Adds the change that explains most of the residual. `None` if none is significant.
+    /// Adds the likeliest change. `None` if none is likelier than the model without it.
     pub(super) fn with_best_change(&self, moves: bool) -> Option<Self> {
-        /// Relative to the residual squares without a change.
-        const MAX_RESIDUAL_RATIO: f64 = 0.5;
-        /// Relative to those with any other change.
-        const MAX_RESIDUAL_RATIO_TO_OTHERS: f64 = 0.8;
         let with_scale_error = Self { has_scale_error: true, ..self.clone() };
         let (linear, t_s) = with_scale_error.linearized();
         let mut base: Vec<usize> = Self::BIAS.chain(self.change_parameters()).collect();
@@ -43,39 +39,28 @@ impl GyroModel<'_> {
             base.extend(Self::MOUNT.chain(Self::SCALE_ERROR).chain([Self::LATENCY]));
         }
         let tests = ExtensionTests::new(&linear, t_s, &base, FLOOR_RAD_S);
-        let if_significant =
-            |extension: Option<ModelExtension>| extension.filter(ModelExtension::is_significant);
         let bias: Vec<usize> = Self::BIAS.collect();
-        let of_bias = |profile: fn(&ModelExtension) -> GyroBiasProfile,
-                       extension: Option<ModelExtension>| {
-            let extension = if_significant(extension)?;
-            Some((
-                extension.residual_squares,
-                Self { bias_profile: Some(profile(&extension)), ..self.clone() },
-            ))
-        };
-        let is_constant = self.bias_profile.is_none();
-        let step = is_constant.then(|| of_bias(step_profile, tests.step(&bias))).flatten();
-        let decay = is_constant.then(|| of_bias(warm_up_profile, tests.decay(&bias))).flatten();
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip =
-            (moves && self.slip.is_none()).then(|| if_significant(tests.step(&mount))).flatten();
+        let is_constant = self.bias_profile.is_none();
+        let with_profile = |profile| Self { bias_profile: Some(profile), ..self.clone() };
+        let step = is_constant.then(|| tests.step(&bias)).flatten().map(|step| {
+            let ModelExtension { at_s, interval_s, .. } = step;
+            (step, with_profile(GyroBiasProfile::Step { at_s, interval_s }))
+        });
+        let decay = is_constant.then(|| tests.decay(&bias)).flatten().map(|decay| {
+            let time_constant_s = decay.at_s;
+            (decay, with_profile(GyroBiasProfile::WarmUp { time_constant_s }))
+        });
+        let slip = (moves && self.slip.is_none()).then(|| tests.step(&mount)).flatten();
         let slip = slip.map(|slip| {
             let change = Some((slip.at_s, slip.interval_s, Rotation::identity()));
-            (slip.residual_squares, Self { slip: change, ..self.clone() })
+            (slip, Self { slip: change, ..self.clone() })
         });
-        let of_bias = [step, decay].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
-        let best_alternative =
-            of_bias.as_ref().map_or(tests.residual_squares, |(squares, _)| *squares);
-        match slip {
-            Some((squares, model))
-                if squares < MAX_RESIDUAL_RATIO_TO_OTHERS * best_alternative
-                    && squares < MAX_RESIDUAL_RATIO * tests.residual_squares =>
-            {
-                Some(model)
-            }
-            _ => of_bias.map(|(_, model)| model),
-        }
+        let (best, model) = [step, decay, slip]
+            .into_iter()
+            .flatten()
+            .max_by(|(a, _), (b, _)| a.log_bayes_factor.total_cmp(&b.log_bayes_factor))?;
+        best.is_likelier().then_some(model)
     }
 
     pub(super) fn change_parameters(&self) -> impl Iterator<Item = usize> + use<> {
@@ -91,12 +76,4 @@ impl GyroModel<'_> {
         let link_from_imu = self.link_from_imu * slip;
         Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
     }
-}
-
-fn step_profile(extension: &ModelExtension) -> GyroBiasProfile {
-    GyroBiasProfile::Step { at_s: extension.at_s, interval_s: extension.interval_s }
-}
-
-fn warm_up_profile(extension: &ModelExtension) -> GyroBiasProfile {
-    GyroBiasProfile::WarmUp { time_constant_s: extension.at_s }
 }

@@ -8,7 +8,8 @@ use super::super::solve::Solved;
 use super::super::yaw;
 use super::{OrientationModel, OrientationSolution};
 use crate::Measured;
-use crate::model::measurement::FLOOR_RAD;
+use crate::priors::MODEL_ERROR_RAD;
+use crate::solver::linear::Linear;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
 /// Linear combination of given functions.
@@ -61,36 +62,31 @@ impl<'a> OrientationModel<'a> {
         rows.iter().map(|&row| self.link.stream.track.t_s[self.rows[row]]).collect()
     }
 
-    /// `None` unless the slip is significant and clearly better than a jump of the world frame.
+    /// `None` unless the slip is likelier than a constant mount, a jump of the world frame and a heading error.
     pub(super) fn with_mount_slip(&self, moves: bool) -> Option<Self> {
-        /// Relative to the residual squares without a change.
-        const MAX_RESIDUAL_RATIO: f64 = 0.3;
-        /// Relative to those with a jump of the world frame.
-        const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         let (linear, rows) = self.linearized();
-        let tests = ExtensionTests::new(
-            &linear,
-            self.stamps(&rows),
-            &Self::constant_parameters(moves),
-            FLOOR_RAD,
-        );
+        let tests = self.extension_tests(&linear, &rows, moves);
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip = tests.step(&mount).filter(ModelExtension::is_significant)?;
-        if slip.residual_squares > MAX_RESIDUAL_RATIO * tests.residual_squares {
-            return None;
-        }
+        let slip = tests.step(&mount).filter(ModelExtension::is_likelier)?;
         let world: Vec<usize> = Self::WORLD.collect();
-        let alternatives = tests.step(&world).into_iter().chain(
-            self.headings_by_axis(&rows)
-                .into_iter()
-                .filter_map(|(_, weights)| tests.best_extension(&Self::YAW, &weights)),
-        );
-        let best_alternative = alternatives
-            .map(|best_alternative| best_alternative.residual_squares)
-            .fold(f64::INFINITY, f64::min);
+        let headings = self.headings_by_axis(&rows).into_iter();
+        let headings =
+            headings.filter_map(|(_, weights)| tests.best_extension(&Self::YAW, &weights));
+        let mut alternatives = tests.step(&world).into_iter().chain(headings);
         let change = Some((slip.at_s, slip.interval_s, Rotation::identity()));
-        (slip.residual_squares < MAX_RESIDUAL_RATIO_TO_JUMP * best_alternative)
+        alternatives
+            .all(|other| slip.log_bayes_factor > other.log_bayes_factor)
             .then(|| Self { slip: change, ..self.clone() })
+    }
+
+    fn extension_tests<'t>(
+        &self,
+        linear: &'t Linear,
+        rows: &[usize],
+        moves: bool,
+    ) -> ExtensionTests<'t> {
+        let base = Self::constant_parameters(moves);
+        ExtensionTests::new(linear, self.stamps(rows), &base, MODEL_ERROR_RAD)
     }
 
     pub(super) fn longer_side(&self) -> (f64, f64) {
@@ -112,34 +108,27 @@ impl<'a> OrientationModel<'a> {
     /// World rotation about the vertical.
     const YAW: [usize; 1] = [Self::WORLD.start + 2];
 
-    /// `None` unless the term is significant and removes most of the walk without adding jumps.
+    /// `None` unless the term is likelier than no term and a jump, and removes most of the walk without adding
+    /// jumps.
     pub(super) fn with_yaw_term(&self, moves: bool) -> Option<(Self, OrientationSolution<'a>)> {
-        /// Relative to the residual squares of the base model.
-        const MAX_RESIDUAL_RATIO: f64 = 0.5;
-        /// Relative to those with a jump.
-        const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         /// Share of the walk that remains.
         const MAX_WALK_SHARE: f64 = 0.3;
         let (linear, rows) = self.linearized();
-        let tests = ExtensionTests::new(
-            &linear,
-            self.stamps(&rows),
-            &Self::constant_parameters(moves),
-            FLOOR_RAD,
-        );
-        let if_significant =
-            |extension: Option<ModelExtension>| extension.filter(ModelExtension::is_significant);
+        let tests = self.extension_tests(&linear, &rows, moves);
         let headings = self.headings_by_axis(&rows).into_iter().filter_map(|(axis, weights)| {
-            let extension = if_significant(tests.best_extension(&Self::YAW, &weights))?;
-            Some((extension.residual_squares, YawTermKind::Heading(axis)))
+            let extension = tests.best_extension(&Self::YAW, &weights)?;
+            Some((extension, YawTermKind::Heading(axis)))
         });
-        let decay = if_significant(tests.decay(&Self::YAW));
-        let decay = decay.map(|decay| (decay.residual_squares, YawTermKind::WarmUp(decay.at_s)));
-        let best = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
-        let (squares, kind) =
-            best.filter(|(squares, _)| *squares < MAX_RESIDUAL_RATIO * tests.residual_squares)?;
-        let jump = tests.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.residual_squares);
-        if squares > MAX_RESIDUAL_RATIO_TO_JUMP * jump {
+        let decay = tests.decay(&Self::YAW).map(|decay| {
+            let kind = YawTermKind::WarmUp(decay.at_s);
+            (decay, kind)
+        });
+        let (best, kind) = headings
+            .chain(decay)
+            .max_by(|(a, _), (b, _)| a.log_bayes_factor.total_cmp(&b.log_bayes_factor))?;
+        let is_likelier_than_jump =
+            tests.step(&Self::YAW).is_none_or(|jump| best.log_bayes_factor > jump.log_bayes_factor);
+        if !best.is_likelier() || !is_likelier_than_jump {
             return None;
         }
         let before = yaw::decompose_yaw(&self.yaw_without_terms()).parts;
