@@ -148,7 +148,7 @@ impl ArmRun<'_> {
             });
         }
         let mut after = likeliest(found)?;
-        if log_bayes_factor(&after, diagnosis) <= 0.0 {
+        if log_bayes_factor(&after, diagnosis) <= search.selection_price() {
             return None;
         }
         if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {

@@ -77,6 +77,11 @@ impl<'a> ComplianceSearch<'a> {
             .then_some(ComplianceTerm { amount, ..term })
     }
 
+    /// Price of the selection of one of the candidates, as a log ratio: each is equally likely.
+    pub fn selection_price(&self) -> f64 {
+        2.0 * (self.candidates().len().max(1) as f64).ln()
+    }
+
     fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);

@@ -2,9 +2,10 @@
 //!
 //! Twice the log Bayes factor, approximated as by Schwarz (1978, *Estimating the Dimension of a Model*): twice the
 //! log-likelihood ratio of the residuals, minus [`price`] for each additional parameter. Autocorrelation reduces the
-//! number of independent samples, so the systematic residual of a wrong model counts as few.
+//! number of independent samples, so the systematic residual of a wrong model counts as few. Residuals below the link
+//! deviations of the arm, if either diagnosis estimates them, distinguish nothing.
 
-use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
+use crate::priors::{MODEL_ERROR_M, RAD_PER_M, price};
 use crate::residuals::comparison::residual_vectors;
 use crate::solver::noise::Noise;
 use crate::{
@@ -33,7 +34,8 @@ fn log_likelihood_ratio(one: &ArmDiagnosis, other: &ArmDiagnosis) -> (f64, f64) 
     const MAX_CORRELATION_SAMPLES: f64 = 200.0;
     let (mut gain, mut independent) = (0.0, 0.0);
     for (one, other) in one.streams.iter().zip(&other.streams) {
-        for (one, other) in noises(one).into_iter().zip(noises(other)) {
+        let link_m = [one.link_m, other.link_m].into_iter().flatten().fold(MODEL_ERROR_M, f64::max);
+        for (one, other) in noises(one, link_m).into_iter().zip(noises(other, link_m)) {
             let better = if one.noise.sigma < other.noise.sigma { &one } else { &other };
             let samples = 3.0 * better.samples as f64
                 / better.noise.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
@@ -49,8 +51,8 @@ struct ResidualNoise {
     noise: Noise,
 }
 
-/// Of positions, m, and rotations, rad.
-fn noises(stream: &PoseDiagnosis) -> [ResidualNoise; 2] {
+/// Of positions, m, and rotations, rad, including link deviations of this size.
+fn noises(stream: &PoseDiagnosis, link_m: f64) -> [ResidualNoise; 2] {
     let does_not_follow =
         stream.residual.is_err() || matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)));
     let [positions, rotations] = residual_vectors(&stream.aligned);
@@ -60,8 +62,8 @@ fn noises(stream: &PoseDiagnosis) -> [ResidualNoise; 2] {
         ResidualNoise { samples: residuals.len(), noise }
     };
     [
-        noise(positions, MODEL_ERROR_M, !does_not_follow),
-        noise(rotations, MODEL_ERROR_RAD, !does_not_follow && stream.encoding.is_ok()),
+        noise(positions, link_m, !does_not_follow),
+        noise(rotations, RAD_PER_M * link_m, !does_not_follow && stream.encoding.is_ok()),
     ]
 }
 
