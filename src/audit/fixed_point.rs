@@ -9,7 +9,7 @@ use super::tables::{MIN_ROWS, dropped_rows, joint_track, named_chain, numbers_su
 use crate::checks::{is_point_moved, max_row_error_m};
 use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration};
 use crate::geometry::{Pose, Rotation, Vec3, pose};
-use crate::log::{self, NumberTable, TableShape, Topic, read_number_table};
+use crate::log::{self, NumberTable, Topic, read_number_table};
 use crate::report::Trouble;
 use crate::robot::{Chain, JointKind, Robot};
 use crate::run::{PoseSourceKind, Run, RunOptions};
@@ -108,13 +108,17 @@ fn configurations_in_table(
 
 /// The rows of a table without stamps, or the rests of the joints.
 fn configurations_in_log(path: &Path, options: &Options) -> Result<Configurations, Trouble> {
-    /// Of tables without stamps.
     const ROWS_HZ: f64 = 1.0;
-    let mut read = options.read.clone();
-    read.columns.rate_hz.get_or_insert(ROWS_HZ);
-    let log = log::open(&[path.to_path_buf()], &read)?;
-    let has_no_times = |table: &TableShape| table.time.is_none() && table.rate_hz == Some(ROWS_HZ);
-    if !log.tables.is_empty() && log.tables.iter().all(has_no_times) {
+    let paths = [path.to_path_buf()];
+    let mut has_times = true;
+    let log = log::open(&paths, &options.read).or_else(|error| {
+        // A rate replaces the stamps, so it is given only to tables that have none.
+        has_times = false;
+        let mut read = options.read.clone();
+        read.columns.rate_hz.get_or_insert(ROWS_HZ);
+        log::open(&paths, &read).map_err(|_| error)
+    })?;
+    if !has_times {
         let tables: Vec<NumberTable> = log.topics.iter().filter_map(joint_table).collect();
         let mut results =
             tables.iter().map(|table| configurations_in_table(path, table, &options.run));

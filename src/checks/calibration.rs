@@ -129,7 +129,7 @@ pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<Stri
 }
 
 /// Whether rows with calibrated distances of `rms_m` do not share a fixed point. Files usually leave `typical_m`;
-/// `jumps` tells whether one jump of the point explains the distances.
+/// `jumps` returns whether one jump of the point explains the distances.
 pub(crate) fn is_point_moved(rms_m: f64, typical_m: f64, jumps: impl FnOnce() -> bool) -> bool {
     let least_m = MAX_POINT_ERROR_RATIO * typical_m;
     let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
