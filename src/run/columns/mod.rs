@@ -221,7 +221,8 @@ impl<'a> ColumnSearch<'a> {
             let next_best = others.into_iter().find(|other| self.are_in_conflict(best, other));
             if let Some(next_best) = next_best.filter(|other| is_alternative(best, other)) {
                 let other_evidence = || self.question_without_pose(&wanted);
-                let question = (!best.is_at_base).then(other_evidence).flatten();
+                let is_by_chance = !best.is_at_base && best.joints != next_best.joints;
+                let question = is_by_chance.then(other_evidence).flatten();
                 let ambiguity = || self.ambiguity_question(best, next_best, &wanted);
                 identified.ask(question.unwrap_or_else(ambiguity));
                 break;
