@@ -112,6 +112,76 @@ fn a_file_whose_ball_moved_is_left_out_and_the_others_are_used() {
     assert!(left_out.contains("few.csv: only 3 rows"), "{left_out}");
 }
 
+/// Joint positions of a table.
+fn rows(log: &str) -> Vec<Vec<f64>> {
+    let text = fs::read_to_string(log).expect("a table");
+    let row = |line: &str| line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+    text.lines().map(row).collect()
+}
+
+/// 50 joint states per second: the arm rests for 1.4 s in each row, and moves for 1 s to the next.
+fn stamped(rows: &[Vec<f64>]) -> String {
+    let names: Vec<String> = (1..=7).map(|joint| format!("fer_joint{joint}")).collect();
+    let mut text = format!("time,{}\n", names.join(","));
+    let mut at = 0;
+    for (row, next) in rows.iter().zip(rows.iter().skip(1).chain(rows.last())) {
+        for share in std::iter::repeat_n(0.0, 70).chain((1..50).map(|step| f64::from(step) / 50.0))
+        {
+            let q = row.iter().zip(next).map(|(a, b)| format!("{:.9}", a + share * (b - a)));
+            text += &format!("{:.3},{}\n", 0.02 * f64::from(at), q.collect::<Vec<_>>().join(","));
+            at += 1;
+        }
+    }
+    text
+}
+
+#[test]
+fn rests_of_a_log_and_lists_give_the_same_result_as_tables() {
+    let folder = TempDir::new().expect("a folder");
+    let tables: Vec<String> =
+        POSITIONS[..2].iter().flat_map(|at| [0, 1].map(|hole| recorded(at, hole))).collect();
+    let line = |row: &Vec<f64>| format!("{row:?}");
+    let record = |row: &Vec<f64>| format!("{{\"joint_positions\": {row:?}}}");
+    let lists = [
+        ("a/log.csv", stamped(&rows(&tables[0]))),
+        (
+            "a/list.yaml",
+            "- ".to_owned() + &rows(&tables[1]).iter().map(line).collect::<Vec<_>>().join("\n- "),
+        ),
+        (
+            "b/list.json",
+            format!("[{}]", rows(&tables[2]).iter().map(record).collect::<Vec<_>>().join(",")),
+        ),
+        ("b/hole.csv", fs::read_to_string(&tables[3]).expect("a table")),
+    ];
+    let logs = lists.map(|(name, text)| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        fs::write(&path, text).expect("a file");
+        path.display().to_string()
+    });
+    let [from_tables, from_lists] = [tables, logs.to_vec()].map(|logs| {
+        let out = folder.path().join("out");
+        let output = calibrate(&logs, &out, &["--distance", "0.05", "--format", "json"]);
+        let report = json(&output);
+        assert_eq!(output.status.code(), Some(0), "{} {}", report["refused"], report["left_out"]);
+        report
+    });
+    let difference = held_out_mm(&from_tables, "after") - held_out_mm(&from_lists, "after");
+    assert!(difference.abs() < 0.02, "{difference}");
+}
+
+#[test]
+fn a_log_in_which_the_arm_does_not_rest_is_refused() {
+    let folder = TempDir::new().expect("a folder");
+    let log = folder.path().join("log.csv");
+    fs::write(&log, stamped(&rows(&recorded("front", 0))[..4])).expect("a file");
+    let output = calibrate(&[log.display().to_string()], &folder.path().join("out"), &[]);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(3), "{stderr}");
+    assert!(stderr.contains("rest in only 4 configurations"), "{stderr}");
+}
+
 #[test]
 fn an_unusable_file_is_refused_in_one_line() {
     let folder = TempDir::new().expect("a folder");

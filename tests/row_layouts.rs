@@ -8,7 +8,7 @@ use poseaudit::log::FileLayout;
 use poseaudit::report::{Report, Trouble, Verdict};
 use poseaudit::{Options, audit};
 
-use crate::tables::{CLEAN, Table, fault_codes, value_of};
+use crate::tables::{CLEAN, STEP_S, Table, fault_codes, value_of};
 
 fn text(rows: &[Vec<f64>]) -> String {
     let line = |row: &Vec<f64>| {
@@ -85,6 +85,33 @@ fn a_table_of_joints_ends_with_a_proposal_that_is_audited_when_pasted() {
     assert!(wide.what.contains("names 7 columns, but its rows have 9"), "{}", wide.what);
 }
 
+#[test]
+fn one_moving_joint_and_its_rate_are_enough_for_a_proposal() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let all = Table { poses: false, ..CLEAN }.rows();
+    // Joint 2 moves. Positions, velocities and currents.
+    let row = |at: usize| -> Vec<f64> {
+        let velocity = (all[at + 1][2] - all[at - 1][2]) / (2.0 * STEP_S);
+        let noise = |joint: usize| ((at * 7919 + joint * 3571) % 1009) as f64 / 100.0;
+        let position = |joint: usize| if joint == 2 { all[at][2] } else { all[0][joint] };
+        let rate = |joint: usize| if joint == 2 { velocity } else { 0.0 };
+        let joints = 1..=6;
+        std::iter::once(all[at][0])
+            .chain(joints.clone().map(position))
+            .chain(joints.clone().map(rate))
+            .chain(joints.map(noise))
+            .collect()
+    };
+    let rows: Vec<Vec<f64>> = (1..all.len() - 1).map(row).collect();
+    let logs = [write(folder.path(), "run.csv", &text(&rows))];
+    let open = audit_with(&logs, None, None).expect("a report");
+    let what = open.error.expect("a question").what;
+    assert!(what.contains("--columns 't,q[6],qd[6],_[6]'"), "{what}");
+    let layout = open.log.tables[0].layout.clone().expect("a proposal");
+    let pasted = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
+    assert_eq!((pasted.error, pasted.robots[0].name.as_str()), (None, "ur5e"));
+}
+
 /// Joints from 0, poses from `origin_s` on, in two files with different rates.
 fn two_files(folder: &Path, origin_s: f64, latency_s: f64) -> [PathBuf; 2] {
     let rows = Table { latency_s, ..CLEAN }.rows();
@@ -110,6 +137,8 @@ fn files_of_one_run_are_joined_by_their_times() {
         let found = audit_with(&logs, Some("ur5e"), None).expect("a report");
         assert_eq!(fault_codes(&found), ["LAT001"], "{:?}", found.findings);
         assert!((value_of(&found, "LAT001") - 0.06).abs() < 1e-3);
+        let notes: Vec<&str> = found.log.notes.iter().map(|row| row.note.as_str()).collect();
+        assert!(!notes.iter().any(|note| note.contains("metadata.yaml")), "{notes:?}");
     }
 }
 

@@ -131,16 +131,16 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
     calibrate_inputs(options, read, None)
 }
 
-/// Same with `options.logs` as tables of configurations. One point of the tool stays at an unknown place in each
-/// table. The points of the two files in a folder have the distance `distance_m`.
+/// Same with `options.logs` as tables of configurations, or logs in which the arm rests in them. One point of the
+/// tool stays at an unknown place in each. The points of the two files in a folder have the distance `distance_m`.
 ///
 /// # Errors
-/// If no table can be used, or no folder has two for the distance.
+/// If no file can be used, or no folder has two for the distance.
 pub fn calibrate_at_fixed_points(
     options: &Options,
     distance_m: Option<f64>,
 ) -> Result<CalibrationResult, Trouble> {
-    calibrate_inputs(options, |path| fixed_point::input(path, &options.run), distance_m)
+    calibrate_inputs(options, |path| fixed_point::input(path, options), distance_m)
 }
 
 fn calibrate_inputs(

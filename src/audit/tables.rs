@@ -14,7 +14,7 @@ use crate::stream::{JointTrack, Orientations, PoseTrack};
 /// Tables have no times: rows are 1 s apart, with the arm at rest for half of it.
 const ROW_INTERVAL_S: f64 = 1.0;
 const REST_S: f64 = 0.5;
-const MIN_ROWS: usize = 6;
+pub(super) const MIN_ROWS: usize = 6;
 
 /// `None` if the file is not a table.
 pub(super) fn read_table(path: &Path) -> Result<Option<ConfigurationTable>, Trouble> {

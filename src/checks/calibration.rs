@@ -20,6 +20,14 @@ const MIN_EQUAL_RATIO: f64 = 0.95;
 /// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
+/// Rms distances of calibrated rows from their fixed point, m: rejected, and rejected if one jump explains it. Both
+/// are at least this many times the median of the files.
+const MAX_POINT_ERROR_M: f64 = 3e-3;
+const MAX_JUMP_ERROR_M: f64 = 0.5e-3;
+const MAX_POINT_ERROR_RATIO: f64 = 4.0;
+/// Rows further from the point than this, and than this many times the median of their file, are outliers.
+const MIN_ROW_ERROR_M: f64 = 1e-3;
+const MAX_ROW_ERROR_RATIO: f64 = 6.0;
 
 /// Whether a finding means that an arm's own calibration is missing.
 pub(crate) fn suggests_calibration(code: &str, severity: Severity) -> bool {
@@ -120,6 +128,19 @@ pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<Stri
     })
 }
 
+/// Whether rows with calibrated distances of `rms_m` do not share a fixed point. Files usually leave `typical_m`;
+/// `jumps` returns whether one jump of the point explains the distances.
+pub(crate) fn is_point_moved(rms_m: f64, typical_m: f64, jumps: impl FnOnce() -> bool) -> bool {
+    let least_m = MAX_POINT_ERROR_RATIO * typical_m;
+    let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
+    is_far || (rms_m > least_m.max(MAX_JUMP_ERROR_M) && jumps())
+}
+
+/// Distance from the fixed point beyond which a row is an outlier. Rows of its file usually leave `typical_m`.
+pub(crate) fn max_row_error_m(typical_m: f64) -> f64 {
+    (MAX_ROW_ERROR_RATIO * typical_m).max(MIN_ROW_ERROR_M)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,6 +236,16 @@ mod tests {
         assert!(gains([1e-3, 2e-5], [1e-3, 2e-5]));
         assert!(!gains([1e-3, 2e-3], [1e-3, 2e-5]));
         assert!(!gains([1e-3, 2e-5], [1e-3, 9.5e-4]));
+    }
+
+    #[test]
+    fn a_point_moved_if_its_rows_leave_more_than_others_or_one_jump_explains_them() {
+        assert!(!is_point_moved(2.5e-3, 0.5e-3, || false));
+        assert!(is_point_moved(3.5e-3, 0.5e-3, || false));
+        assert!(!is_point_moved(3.5e-3, 1e-3, || false), "less than four times the median");
+        assert!(is_point_moved(0.6e-3, 0.1e-3, || true));
+        assert!(!is_point_moved(0.4e-3, 0.05e-3, || true), "too small for a jump");
+        assert!(is_point_moved(4e-3, 4e-3, || false), "all files are bad");
     }
 
     #[test]

@@ -16,8 +16,9 @@ use super::{Outcome, messages, misuse};
 /// the joints and the measured pose) also works, with --robot. Poses of the arm's own controller calibrate
 /// the controller's kinematics, poses of a tracker the arm itself.
 ///
-/// With --fixed-point, each LOG is a table of joint positions (a CSV, with or without names) in which a point of
-/// the tool stays at one unknown place, such as a ball in a socket. This calibrates the arm itself without a sensor.
+/// With --fixed-point, each LOG is a list of joint positions (CSV, YAML, JSON, with or without names), or a log in
+/// which the arm rests in each of them. A point of the tool stays at one unknown place, such as a ball in a socket.
+/// This calibrates the arm itself without a sensor.
 ///
 /// Exit status: 0 the files are written, or the arm equals its model and nothing needs to be written; 1 the logs do not determine a calibration, and nothing is written;
 /// 2 invalid call; 3 a log cannot be used; 70 internal error.
@@ -48,7 +49,7 @@ pub struct Args {
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
 
-    /// In each LOG, a table of joint positions, one point of the tool stays at one place
+    /// In each LOG, one point of the tool stays at one place while the joints take different positions
     #[arg(long, conflicts_with = "topic")]
     fixed_point: bool,
 

@@ -6,6 +6,8 @@ use std::path::Path;
 
 use csv::{ReaderBuilder, Trim};
 
+use super::file_format::{self, FileFormat};
+use super::tables::TableFormat;
 use super::{LogError, local};
 
 /// Limits in bytes and rows.
@@ -79,7 +81,7 @@ pub fn read_calibration_table(path: &Path) -> Result<Option<CalibrationTable>, L
     Ok(read_bytes(path)?.and_then(|bytes| parse_table(&bytes)))
 }
 
-/// Reads a table of numbers at `path`. `None` if it is a log or no text.
+/// Reads a text table of numbers at `path`. `None` if it is a log, a list of records or no text.
 ///
 /// # Errors
 /// If the file cannot be opened.
@@ -104,7 +106,12 @@ fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
 fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
     let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
         .map_or_else(|error| error.error_len().is_none(), |_| true);
-    if !is_text || bytes.len() as u64 > MAX_BYTES || super::looks_like_log(bytes) {
+    let is_of_records = matches!(
+        file_format::detect_format(bytes),
+        FileFormat::Table(TableFormat::Json | TableFormat::Yaml)
+    );
+    let is_log = is_of_records || super::looks_like_log(bytes);
+    if !is_text || bytes.len() as u64 > MAX_BYTES || is_log {
         return None;
     }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);

@@ -116,6 +116,9 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
             rtde::FirstLine::Other if let Some(kind) = tables::detect_trajectory(bytes) => {
                 return FileFormat::Table(kind);
             }
+            rtde::FirstLine::Other if tables::is_yaml_list(bytes) => {
+                return FileFormat::Table(tables::TableFormat::Yaml);
+            }
             rtde::FirstLine::Other if tables::is_table(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Csv);
             }

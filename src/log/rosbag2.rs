@@ -66,8 +66,13 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<LogInpu
     let path = folder.join(METADATA);
     if !path.is_file() {
         let inputs = logs_in(folder)?;
-        let what = format!("no {METADATA}: the {} log files in the folder are read", inputs.len());
-        intake.note(folder, what);
+        if inputs.iter().any(|input| is_bag_file(&input.path)) {
+            let count = inputs.len();
+            intake.note(
+                folder,
+                format!("no {METADATA}: the {count} log files in the folder are read"),
+            );
+        }
         return Ok(inputs);
     }
     let mut losses = Losses::new(&path);
@@ -249,6 +254,14 @@ fn is_log(path: &Path) -> bool {
                 | FileFormat::Zstd
                 | FileFormat::Rtde
         )
+    })
+}
+
+/// Whether rosbag2 writes such files.
+fn is_bag_file(path: &Path) -> bool {
+    MappedFile::open(path).is_ok_and(|mapped| {
+        let format = file_format::detect_format(mapped.bytes());
+        matches!(format, FileFormat::Mcap | FileFormat::Sqlite | FileFormat::Zstd)
     })
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::geometry::Pose;
-use crate::robot::{Chain, Joint, JointKind, LinkId, Robot};
+use crate::robot::{Chain, Joint, JointKind, LinkId, Robot, catalogue};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
@@ -165,6 +165,14 @@ pub(super) struct ChainEnds<'a> {
     pub tip: Option<&'a str>,
 }
 
+/// Link that the catalogue calls `name`, if the links of its arm have the prefix of the log.
+fn link_named_in_catalogue(robot: &Robot, name: &str) -> Option<LinkId> {
+    robot.provenance.as_ref()?;
+    let own =
+        catalogue::find(&robot.name).filter(|own| own.links().count() == robot.links().count())?;
+    own.link(name)
+}
+
 impl Arm {
     /// Builds the arm of `model` along `path`.
     ///
@@ -180,6 +188,7 @@ impl Arm {
         let link = |option: &'static str, name: &str| {
             let name = strip_slash(name);
             let found = robot.link(name).or_else(|| model.frames.link_of(robot, name));
+            let found = found.or_else(|| link_named_in_catalogue(robot, name));
             found.ok_or_else(|| RunError::UnknownLink {
                 option,
                 link: name.to_owned(),

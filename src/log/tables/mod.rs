@@ -55,7 +55,9 @@ pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
 pub(super) use self::meaning::LayoutColumns;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
-pub(super) use self::records::{has_times as has_record_times, looks_like_json, looks_like_yaml};
+pub(super) use self::records::{
+    has_times as has_record_times, is_yaml_list, looks_like_json, looks_like_yaml,
+};
 pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;

@@ -56,6 +56,13 @@ pub(crate) fn looks_like_yaml(bytes: &[u8]) -> bool {
     })
 }
 
+/// Whether a text starts with a YAML list of lists or records in brackets, whose commas may look like those of a table.
+pub(crate) fn is_yaml_list(bytes: &[u8]) -> bool {
+    let text = trimmed(bytes).strip_prefix(b"---").map_or(trimmed(bytes), <[u8]>::trim_ascii_start);
+    let Some(item) = text.strip_prefix(b"- ") else { return false };
+    matches!(item.trim_ascii_start().first(), Some(b'[' | b'{'))
+}
+
 /// Whether JSON lines that start with `head` have times: they may be a log.
 pub(crate) fn has_times(head: &[u8]) -> bool {
     let line = trimmed(head).split(|byte| *byte == b'\n').next().unwrap_or_default();

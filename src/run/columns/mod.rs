@@ -63,6 +63,12 @@ const MAX_ARMS: usize = 2;
 const MIN_SPREAD_M: f64 = 0.02;
 const MAX_SPREAD_M: f64 = 4.0;
 
+/// Whether `other` excludes the choice of `best`. Two mappings with a free frame that both fit show that columns of
+/// this table match FK by chance.
+fn is_alternative(best: &ColumnMapping, other: &ColumnMapping) -> bool {
+    other.score < best.score + MIN_SCORE_DIFFERENCE || (!best.is_at_base && other.fits())
+}
+
 /// Identifies unnamed columns as joints, poses and commands, and rewrites their topics. Returns the mapping
 /// for other logs of the dataset.
 pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
@@ -213,10 +219,12 @@ impl<'a> ColumnSearch<'a> {
             let best = points.min_by(|a, b| a.tool_m.total_cmp(&b.tool_m)).unwrap_or(best);
             let others = mappings.iter().filter(|other| !other.is_same(best));
             let next_best = others.into_iter().find(|other| self.are_in_conflict(best, other));
-            if let Some(next_best) =
-                next_best.filter(|next_best| next_best.score < best.score + MIN_SCORE_DIFFERENCE)
-            {
-                identified.ask(self.ambiguity_question(best, next_best, &wanted));
+            if let Some(next_best) = next_best.filter(|other| is_alternative(best, other)) {
+                let other_evidence = || self.question_without_pose(&wanted);
+                let is_by_chance = !best.is_at_base && best.joints != next_best.joints;
+                let question = is_by_chance.then(other_evidence).flatten();
+                let ambiguity = || self.ambiguity_question(best, next_best, &wanted);
+                identified.ask(question.unwrap_or_else(ambiguity));
                 break;
             }
             match self.complete_mapping(best, next_best, &mappings, &wanted) {
@@ -464,10 +472,7 @@ impl<'a> ColumnSearch<'a> {
             first += width;
         }
         if suggestions.is_empty() {
-            return self
-                .question_by_rates()
-                .or_else(|| self.question_by_motion(&wanted))
-                .or_else(|| self.question_by_order());
+            return self.question_without_pose(&wanted).or_else(|| self.question_by_order());
         }
         let texts: Vec<String> = suggestions.iter().map(Answer::to_string).collect();
         let text = format!(
@@ -486,16 +491,58 @@ impl<'a> ColumnSearch<'a> {
         ])
     }
 
+    /// Suggests joints by evidence other than FK.
+    fn question_without_pose(&self, wanted: &MappingConstraints<'_>) -> Option<ColumnQuestion> {
+        self.question_by_rates()
+            .or_else(|| self.question_by_motion(wanted))
+            .or_else(|| self.question_by_blocks())
+    }
+
     /// Suggests columns whose rates are also in the table.
     fn question_by_rates(&self) -> Option<ColumnQuestion> {
         let (own, rates) = self.cells.table.with_rates()?;
         let content = (Content::Joints(None), Content::Velocities);
         let answer = self.answer(&[(None, content.0, &own), (None, content.1, &rates)]);
         let text = format!(
-            "{} are the rates of {}, but no columns are a pose that matches FK, so the joints cannot be \
-             confirmed: if these are the joints, use {answer}, and name the arm with --robot",
+            "{} are the rates of {}, but no pose that matches FK confirms the joints: if these are the joints, use \
+             {answer}, and name the arm with --robot",
             self.label(&rates),
             self.label(&own),
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
+    }
+
+    /// Suggests a block of columns followed by the block of their rates, as wide as a candidate arm has joints. One
+    /// moving joint is enough, if blocks of that width fill the table from its first column.
+    fn question_by_blocks(&self) -> Option<ColumnQuestion> {
+        let table = &self.cells.table;
+        let count = self.cells.numbers.len();
+        let mut widths: Vec<usize> = self.arms.iter().map(|arm| arm.chain.dof()).collect();
+        widths.sort_unstable();
+        widths.dedup();
+        let first = |at: usize| (0..count).find(|&other| table.home(other) == table.home(at));
+        let (joints, rates) = widths.into_iter().find_map(|dof| {
+            let starts =
+                (0..count).filter(|&at| first(at).is_some_and(|first| (at - first) % dof == 0));
+            let blocks = starts.filter(|at| at + 2 * dof <= count);
+            let pairs = blocks.map(|at| -> [Vec<usize>; 2] {
+                [(at..at + dof).collect(), (at + dof..at + 2 * dof).collect()]
+            });
+            let [joints, rates] = pairs
+                .into_iter()
+                .find(|[own, rates]| table.rates_of(own).as_ref() == Some(rates))?;
+            Some((joints, rates))
+        })?;
+        let (positions, velocities) = (Content::Joints(None), Content::Velocities);
+        let answer = self.answer(&[(None, positions, &joints), (None, velocities, &rates)]);
+        let moving: Vec<usize> = joints.iter().copied().filter(|&at| table.moves(at)).collect();
+        let text = format!(
+            "{} and {} are {} columns apart, but no pose that matches FK confirms the joints: if {} are the \
+             joints, use {answer}, and name the arm with --robot",
+            self.label(&moving),
+            if moving.len() == 1 { "its rate" } else { "their rates" },
+            joints.len(),
+            self.label(&joints),
         );
         Some(ColumnQuestion { text, proposal: answer.layout })
     }
@@ -550,8 +597,8 @@ impl<'a> ColumnSearch<'a> {
         })?;
         let answer = self.answer_with_joints(&joints);
         let text = format!(
-            "{} move within the joint limits of {}, but no columns are a pose that matches FK, so the joints \
-             cannot be confirmed: if these are the joints, use {answer}, and name the arm with --robot",
+            "{} move within the joint limits of {}, but no pose that matches FK confirms the joints: if these are \
+             the joints, use {answer}, and name the arm with --robot",
             self.label(&joints),
             self.arms[arm].name,
         );

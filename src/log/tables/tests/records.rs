@@ -79,6 +79,11 @@ fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
             format!("- time: {}\n  joint_positions: [{}]\n", 0.01 * row as f64, numbers(row))
         })
         .collect();
+    let in_brackets: String = (0..ROWS)
+        .map(|row| {
+            format!("- {{time: {}, joint_positions: [{}]}}\n", 0.01 * row as f64, numbers(row))
+        })
+        .collect();
     let by_key: String = (0..ROWS)
         .map(|row| {
             format!(
@@ -97,7 +102,7 @@ fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
             )
         })
         .collect();
-    for text in [list, by_key, documents] {
+    for text in [list, in_brackets, by_key, documents] {
         assert_has_joints(text.as_bytes(), "joint_positions", "yaml");
     }
 }
