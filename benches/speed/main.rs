@@ -1,19 +1,22 @@
 //! Speed of reading and auditing logs, relative to the minimum cost of reading.
 //!
 //! The floor is the `mcap` crate's message stream over the same mapped file: it unpacks every chunk and
-//! verifies its checksum on one thread, without decoding. Floor and audit run alternately as separate
-//! processes, and ratios are computed per pair, to be independent of slow changes of the machine's speed.
+//! verifies its checksum on one thread, without decoding. For a text table, it is the `csv` crate's reader.
+//! Floor and audit run alternately as separate processes, and ratios are computed per pair, to be independent
+//! of slow changes of the machine's speed.
 //!
 //! ```sh
 //! cargo bench --bench speed                        # the whole table, with logs of 2.5 million messages
 //! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
 //! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
 //! cargo bench --bench speed -- --sizes             # only time over size
+//! cargo bench --bench speed -- --short             # only short runs and a long text table
 //! cargo bench --bench speed -- --python python3    # also times scripts: rosbags with pin, small-mcap
 //! ```
 
 mod logs;
 mod process;
+mod short;
 mod sizes;
 
 use std::path::{Path, PathBuf};
@@ -52,6 +55,9 @@ fn main() -> Result<()> {
     std::fs::create_dir_all(&folder)?;
     if arguments.iter().any(|word| word == "--sizes") {
         return sizes::print_growth(&folder);
+    }
+    if arguments.iter().any(|word| word == "--short") {
+        return short::print_costs(&folder, PAIRS);
     }
     let logs = Logs::generate(&folder, messages)?;
 
@@ -116,6 +122,7 @@ fn main() -> Result<()> {
         last = Some((log.messages, cost));
     }
 
+    short::print_costs(&folder, PAIRS)?;
     sizes::print_growth(&folder)?;
     print_stages(&logs.reference_log().path)?;
     print_fk_rate()
@@ -153,9 +160,18 @@ fn time_user_scripts(python: &str, log: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Reads a file like the floor.
+/// Reads a log with the `mcap` crate, a text table with the `csv` crate.
 #[allow(unsafe_code, reason = "the floor maps a file")]
 fn run_floor(path: &Path) -> Result<()> {
+    if path.extension().is_some_and(|extension| extension == "csv") {
+        let (mut reader, mut record) = (csv::Reader::from_path(path)?, csv::ByteRecord::new());
+        let mut cells = 0;
+        while reader.read_byte_record(&mut record)? {
+            cells += record.len();
+        }
+        println!("{cells} cells");
+        return Ok(());
+    }
     let file = std::fs::File::open(path)?;
     // SAFETY: nobody else writes the benchmark's own log.
     let map = unsafe { memmap2::Mmap::map(&file) }?;

@@ -25,11 +25,12 @@ const ENCODINGS: [&str; 8] =
 /// Sets `held_out`: rms residual (m, rad) in each half of the run, `before` and `after` correcting this cause, with
 /// everything else fitted to the other half.
 pub(super) fn with_held_out(case: &Case, rule: &Rule, judged: SubjectResult) -> SubjectResult {
-    let is_finding = matches!(judged.outcome, Outcome::Evaluated(Ruling::Fail(_)));
+    if !matches!(judged.outcome, Outcome::Evaluated(Ruling::Fail(_))) {
+        return judged;
+    }
     // A whole turn of a joint changes no pose.
     let changes_poses = |residual: &HeldOutResidual| residual.with != residual.without;
-    let residual = held_out(case, rule, &judged.subject).filter(changes_poses);
-    match residual.filter(|_| is_finding) {
+    match held_out(case, rule, &judged.subject).filter(changes_poses) {
         Some(residual) => judged.with_evidence(HELD_OUT, as_json(&residual)),
         None => judged,
     }

@@ -37,6 +37,10 @@ impl MemoryBudget {
         Self { limit: Self::BASE_BYTES.max(u64::from(requested_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
+    pub(super) fn with_limit(bytes: u64) -> Self {
+        Self { limit: bytes, used: 0 }
+    }
+
     pub(super) fn add_file(&mut self, bytes: u64) {
         self.limit = self.limit.saturating_add(bytes.saturating_mul(Self::BYTES_PER_FILE_BYTE));
     }

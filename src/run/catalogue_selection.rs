@@ -34,6 +34,8 @@ pub(super) struct RankedModel {
     /// Whether the residual is small enough.
     pub is_fit: bool,
     pub is_fit_without_fault: bool,
+    /// Whether no other model can score lower by [`ModelRanking::min_score_difference`].
+    pub is_unbeatable: bool,
     /// Topic with the smallest residual.
     pub topic: String,
 }
@@ -340,6 +342,7 @@ mod tests {
             logged_residual_m: left_m,
             is_fit: fits,
             is_fit_without_fault: fits_without_fault,
+            is_unbeatable: false,
             topic,
         }
     }

@@ -142,6 +142,11 @@ impl ModelFit {
         self.best().is_some_and(|best| best.score <= min_faulty_score)
     }
 
+    /// Score of a perfect fit without parameters. No model scores lower.
+    pub fn lowest_score(&self) -> f64 {
+        self.price(0.0, 0.0)
+    }
+
     fn score(&self, fit: &HypothesisFit) -> f64 {
         let misread = if fit.is_misinterpreted { 3.0 } else { 0.0 };
         let parameters = fit.assumption.parameters() as f64 + misread;

@@ -352,7 +352,8 @@ impl Tables {
             }
             TableFormat::Rsi => rsi::read(bytes, context),
             TableFormat::Parquet => {
-                parquet::read(owned_bytes(place, bytes), dataset.as_ref(), wanted, context)
+                let bytes = owned_bytes(place, bytes);
+                parquet::read(place, bytes, dataset.as_ref(), wanted, context)
             }
             TableFormat::Hdf5 => hdf5::read(owned_bytes(place, bytes), wanted, context),
             TableFormat::Zarr if place.is_dir() => {

@@ -3,8 +3,11 @@
 //! Reads values leaf by leaf with their levels, because pyarrow's fixed-size lists and Hugging Face's
 //! sequences have identical leaves.
 
+mod read_ahead;
+
 use std::collections::VecDeque;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ::bytes::Bytes;
@@ -17,6 +20,7 @@ use ::parquet::file::metadata::{ParquetMetaData, ParquetMetaDataReader};
 use ::parquet::file::serialized_reader::SerializedPageReader;
 use ::parquet::file::statistics::Statistics;
 
+use self::read_ahead::FileState;
 use super::lerobot::Dataset;
 use super::pages::{self, PageHeader};
 use super::{
@@ -33,6 +37,8 @@ const BATCH_ROWS: usize = 1 << 14;
 struct ParquetFile {
     bytes: Arc<Bytes>,
     metadata: Arc<ParquetMetaData>,
+    /// If later calls may read other episodes of the file.
+    state: Option<FileState>,
 }
 
 impl ParquetFile {
@@ -52,7 +58,7 @@ impl ParquetFile {
                 metadata
             }
         };
-        Ok(Self { bytes: Arc::new(bytes), metadata })
+        Ok(Self { bytes: Arc::new(bytes), metadata, state: None })
     }
 
     /// Also returns the list of its unreadable pages, filled while reading.
@@ -190,14 +196,17 @@ fn footer(bytes: &[u8]) -> Option<&[u8]> {
     rest.get(rest.len().checked_sub(length)?..)
 }
 
-/// Splits by `episode_index`, if present. Decodes only the rows of the `wanted` episode.
+/// Splits by `episode_index`, if present. Returns only the `wanted` episode. `bytes` is the content of the file
+/// at `place`.
 pub(super) fn read(
+    place: &Path,
     bytes: Bytes,
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
     context: &mut ReadContext,
 ) -> Result<Episodes, TableError> {
-    let reader = ParquetFile::open(bytes)?;
+    let mut reader = ParquetFile::open(bytes)?;
+    reader.state = wanted.and_then(|_| FileState::read(place));
     let schema = reader.metadata.file_metadata().schema_descr_ptr();
     let all: usize = reader.groups().fold(0, usize::saturating_add);
     let rows = match wanted {
@@ -298,7 +307,7 @@ fn rows_of_episode(
         return Ok(None);
     };
     let (mut first, mut found) = (0_usize, None::<Range<usize>>);
-    for group in reader.metadata.row_groups() {
+    for (index, group) in reader.metadata.row_groups().iter().enumerate() {
         let count = usize::try_from(group.num_rows()).unwrap_or(0);
         let own = first..first.saturating_add(count);
         first = own.end;
@@ -312,13 +321,20 @@ fn rows_of_episode(
         if !may_hold {
             continue;
         }
-        let mut of = LeafValues::new(reader, at, own.clone());
-        of.read(reader, at, memory)?;
-        memory.release(of.values.len());
-        let is_its = |value: &f64| *value == number as f64;
-        let Some(start) = of.values.iter().position(is_its) else { continue };
-        let length = of.values[start..].iter().take_while(|value| is_its(value)).count();
-        let rows = own.start + start..own.start + start + length;
+        let episodes = match read_ahead::episodes(reader, index) {
+            Some(episodes) => episodes,
+            None => {
+                let mut of = LeafValues::new(reader, at, own.clone());
+                of.read(reader, at, memory)?;
+                memory.release(of.values.len());
+                let episodes = spans_of_equal_numbers(&of.values);
+                read_ahead::keep_episodes(reader, index, &episodes);
+                episodes
+            }
+        };
+        let is_its = |(episode, _): &&(f64, Range<usize>)| *episode == number as f64;
+        let Some((_, span)) = episodes.iter().find(is_its) else { continue };
+        let rows = own.start + span.start..own.start + span.end;
         match &mut found {
             Some(found) if found.end == rows.start => found.end = rows.end,
             Some(_) => {}
@@ -326,6 +342,16 @@ fn rows_of_episode(
         }
     }
     Ok(found)
+}
+
+fn spans_of_equal_numbers(values: &[f64]) -> Vec<(f64, Range<usize>)> {
+    let mut end = 0;
+    let spans = values.chunk_by(|a, b| a == b).map(|equal| {
+        let start = end;
+        end += equal.len();
+        (equal[0], start..end)
+    });
+    spans.collect()
 }
 
 /// Returns the table whole if it has no episode column.
@@ -415,24 +441,51 @@ impl LeafValues {
             let end = first.saturating_add(count);
             let own = self.rows.start.max(first)..self.rows.end.min(end);
             if !own.is_empty() {
-                let begin = self.count();
                 let rows = own.start - first..own.end - first;
-                let decode = || {
-                    let (column, damaged) = reader.column(group, at, memory)?;
-                    self.column(column, rows.clone(), &damaged, memory)
-                };
-                // Damaged levels and indices overflow in the decoder, which panics in builds that check it.
-                let read = catch_panic(decode)
-                    .unwrap_or_else(|what| Err(format!("its decoder failed: {what}").into()));
-                match read {
-                    // The memory limit ends the reading.
-                    Err(refusal @ TableError::Memory(_)) => return Err(refusal),
-                    read => self.complete_row_group(begin, rows.len(), read.err(), memory)?,
+                let before = self.values.len();
+                if read_ahead::append_rows(reader, (group, at), &rows, self) {
+                    memory.reserve(self.values.len() - before)?;
+                } else {
+                    self.decode(reader, (group, at), rows, memory)?;
                 }
             }
             first = end;
         }
         Ok(())
+    }
+
+    /// Appends rows of a row group. Lost rows are NaN.
+    fn decode(
+        &mut self,
+        reader: &ParquetFile,
+        (group, at): (usize, usize),
+        rows: Range<usize>,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let begin = self.count();
+        let decode = || {
+            let (column, damaged) = reader.column(group, at, memory)?;
+            self.column(column, rows.clone(), &damaged, memory)
+        };
+        // Damaged levels and indices overflow in the decoder, which panics in builds that check it.
+        let read = catch_panic(decode)
+            .unwrap_or_else(|what| Err(format!("its decoder failed: {what}").into()));
+        match read {
+            // The memory limit ends the reading.
+            Err(refusal @ TableError::Memory(_)) => Err(refusal),
+            read => self.complete_row_group(begin, rows.len(), read.err(), memory),
+        }
+    }
+
+    /// Appends decoded rows of `other`.
+    fn append_from(&mut self, other: &Self, rows: Range<usize>) {
+        if !self.is_list {
+            return self.values.extend_from_slice(&other.values[rows]);
+        }
+        let count = |lengths: &[u32]| lengths.iter().map(|length| *length as usize).sum::<usize>();
+        let (start, lengths) = (count(&other.lengths[..rows.start]), &other.lengths[rows]);
+        self.values.extend_from_slice(&other.values[start..start + count(lengths)]);
+        self.lengths.extend_from_slice(lengths);
     }
 
     fn complete_row_group(

@@ -1,5 +1,6 @@
 //! Tables as their writers make them: valid, truncated, and with wrong declarations.
 
+mod episodes;
 mod hdf5_writer;
 mod layouts;
 mod limits;

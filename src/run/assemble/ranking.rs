@@ -60,6 +60,11 @@ impl FittedModel {
         self.fits.iter().find(|fitted| fitted.stream == stream).map(|fitted| &fitted.fit)
     }
 
+    /// Score of a perfect fit to all streams.
+    fn lowest_score(&self) -> f64 {
+        self.fits.iter().map(|fitted| fitted.fit.lowest_score()).sum()
+    }
+
     fn streams_by_frame(&self, known: bool) -> impl Iterator<Item = usize> + '_ {
         let alike = move |fitted: &&StreamFit| fitted.is_frame_known == known;
         self.fits.iter().filter(alike).map(|fitted| fitted.stream)
@@ -118,6 +123,8 @@ impl PoseRanking<'_> {
                 is_fit_without_fault: fit.is_some_and(|fit| {
                     fit.faultless_residual_m() <= MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m)
                 }),
+                is_unbeatable: rank.score
+                    <= entries[rank.model].lowest_score() + MIN_SCORE_DIFFERENCE,
                 topic: self.assembly.streams[stream].topic.clone(),
             }
         });
@@ -135,6 +142,9 @@ impl PoseRanking<'_> {
         let path = self.only_path(model)?;
         let own = self.rank(&[model])?;
         let own = own.models.first()?;
+        if own.is_unbeatable {
+            return None;
+        }
         if own.is_fit
             && own.hypothesis.assumption == FitAssumption::Nothing
             && !own.hypothesis.is_misinterpreted
