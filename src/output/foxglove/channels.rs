@@ -50,7 +50,7 @@ pub struct ChannelMessage {
 
 #[derive(Debug)]
 enum Content {
-    Columns(Columns),
+    Columns(Box<Columns>),
     Messages(Vec<Message>),
 }
 
@@ -109,7 +109,7 @@ impl Channel {
             Columns::Array(_) => ("poseaudit.Numbers", schema::numbers(&names.join(", "))),
             Columns::Text(_) => ("poseaudit.Text", schema::text()),
         };
-        Some(Self::new(name, schema_name, schema, Content::Columns(columns)))
+        Some(Self::new(name, schema_name, schema, Content::Columns(Box::new(columns))))
     }
 
     fn new(topic: String, schema_name: &'static str, schema: Value, content: Content) -> Self {
@@ -296,7 +296,7 @@ fn pose_channels(audited: &Audited) -> Vec<Channel> {
         [("pose", &aligned.logged), ("fk", &aligned.fk)].map(|(kind, poses)| {
             let topic = format!("/poseaudit/{kind}/{}", stream.topic().trim_start_matches('/'));
             let columns = pose_columns(&aligned.t_s, poses, audited.run.origin, &stream.reference);
-            let content = Content::Columns(Columns::Poses(vec![columns]));
+            let content = Content::Columns(Box::new(Columns::Poses(vec![columns])));
             Channel::new(topic, "foxglove.PoseInFrame", schema::pose_in_frame(), content)
         })
     });

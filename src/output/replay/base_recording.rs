@@ -153,7 +153,7 @@ fn timelines_of(footer: &[u8]) -> Result<BTreeSet<String>, BaseError> {
     let mut timelines = BTreeSet::new();
     for manifest in footer.manifests {
         let store = manifest.store_id.and_then(|store| StoreId::try_from(store).ok());
-        if !store.is_some_and(|store| store.kind() == StoreKind::Recording) {
+        if store.is_none_or(|store| store.kind() != StoreKind::Recording) {
             continue;
         }
         let Some(schema) = manifest.sorbet_schema.and_then(|schema| schema.arrow_schema) else {
