@@ -43,7 +43,7 @@ pub use poseaudit_log as log;
 
 pub use audit::{
     Audited, CalibrationInput, CalibrationResult, DEMO_LOG, DEMO_PAIR_LOG, Demo, Measurement,
-    Options, PlantedFault, Policy, calibrate, calibrate_at_fixed_points, demo, demo_pair,
+    Options, PlantedFault, Policy, calibrate, calibrate_at_fixed_points, demo, demo_pair, prepare,
 };
 pub use report::compare;
 
@@ -65,6 +65,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     if let Some(given) = &given {
         given.correct_stamps(&mut log)?;
     }
+    prepare(&mut log, &options.run)?;
     Audited::audit(log, options, given)
 }
 
@@ -72,7 +73,16 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 ///
 /// # Errors
 /// If the call is invalid. Without an arm or a model, the report has the error.
-pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
+pub fn audit_read(mut log: log::Log, options: &Options) -> Result<Audited, Trouble> {
+    prepare(&mut log, &options.run)?;
+    audit_prepared(log, options)
+}
+
+/// Audits a log after [`prepare`], without corrections.
+///
+/// # Errors
+/// As [`audit_read`].
+pub fn audit_prepared(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
     Audited::audit(log, options, None)
 }
 
@@ -82,8 +92,7 @@ pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> 
 /// If the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
     let mut log = log::open(&options.logs, &options.read)?;
-    run::identify_columns(&mut log, &options.run);
-    run::align_table_clocks(&mut log, &options.run)?;
+    prepare(&mut log, &options.run)?;
     let read = audit::ReadLog::from_log(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summarize(&run, read))

@@ -1,6 +1,7 @@
 //! Tests of the program and the library from outside. One binary, because each would link everything.
 
 mod calibrate;
+mod channels;
 mod checks;
 mod cli;
 mod config;

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Makes the pictures of the pages on pytest, LeRobot and PlotJuggler.
+"""Makes the pictures of the pages on pytest, LeRobot, PlotJuggler and Foxglove.
 
-    python3 docs/images/integrations.py target/debug/poseaudit PYTHON
+    python3 docs/images/integrations.py target/debug/poseaudit PYTHON [EXTENSION.foxe]
 
-PYTHON is an interpreter with pytest, pyarrow, numpy, markdown and the package poseaudit. Needs Chromium and Pillow.
-The pictures show real output: that of pytest, the card of a generated dataset, and the curves of a layout, read from
-its table.
+PYTHON is an interpreter with pytest, pyarrow, numpy, markdown and the package poseaudit, and for an EXTENSION with the
+packages of tests/foxglove/load.py. Needs Chromium and Pillow. The pictures show real output: that of pytest, the card of a
+generated dataset, the curves of a layout, read from its table, and a generated RTDE recording in the extension.
 """
 
 import csv
@@ -37,6 +37,16 @@ text = text.replace("<details>", '<details open markdown="1">').replace("<summar
 print(markdown.markdown(text, extensions=["tables", "md_in_html"]))
 """
 
+LOADER = """
+import sys
+from pathlib import Path
+import load, tables
+
+program, extension, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+tables.write_tables(tables.motion(program, folder), folder)
+load.describe(load.Opened(load.Extension(extension), folder / "rtde.csv"))
+"""
+
 STYLE = """
 body { margin: 24px; font: 15px/1.5 "DejaVu Sans", sans-serif; color: #1f2328; background: #ffffff; width: 1000px }
 td, th { border: 1px solid #d1d9e0; padding: 5px 12px; text-align: left }
@@ -63,6 +73,12 @@ def picture_of_card(python: str, folder: Path, environment: dict[str, str]) -> N
     environment["PYTHONPATH"] += f"{os.pathsep}{ROOT / 'python' / 'tests'}"
     done = subprocess.run([python, "-c", CARD, folder], env=environment, stdout=subprocess.PIPE, text=True, check=True)
     report.screenshot(page(done.stdout), 1060, 1100, IMAGES / "dataset-card.png", "#ffffff")
+
+
+def picture_of_loader(program: Path, python: str, extension: Path, folder: Path) -> None:
+    environment = {"PYTHONPATH": str(ROOT / "tests" / "foxglove")}
+    text = report.terminal_output([python, "-c", LOADER, str(program), str(extension), folder], folder, **environment)
+    report.terminal(text, "tests/foxglove/load.py target/debug/poseaudit poseaudit.foxe rtde.csv", IMAGES / "foxglove.png")
 
 
 def picture_of_layout(program: Path, folder: Path) -> None:
@@ -116,6 +132,8 @@ def main() -> None:
         picture_of_pytest(python, folder, environment)
         picture_of_card(python, folder, environment)
         picture_of_layout(program, folder)
+        if extension := sys.argv[3:]:
+            picture_of_loader(program, python, Path(extension[0]).resolve(), folder)
 
 
 main()

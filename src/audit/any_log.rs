@@ -385,7 +385,7 @@ impl AnyLog {
             },
             ..Options::default()
         };
-        if let Ok(audited) = Audited::audit(log, &options, None) {
+        if let Ok(audited) = crate::audit_read(log, &options) {
             let report = audited.with_figures().report;
             assert!(report.checks.iter().all(|row| !row.code.is_empty()));
         }

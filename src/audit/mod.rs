@@ -18,7 +18,9 @@ use crate::report::{
     has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, table_rows,
     workspace_coverage,
 };
-use crate::run::{Arm, Excerpts, Run, Segment, align_table_clocks, identify_columns, segments};
+use crate::run::{
+    Arm, Excerpts, Run, RunOptions, Segment, align_table_clocks, identify_columns, segments,
+};
 
 pub use calibrate::{
     CalibrationInput, CalibrationResult, Measurement, calibrate, calibrate_at_fixed_points,
@@ -103,16 +105,23 @@ pub struct Audited {
     pub(crate) read: PathRegistry,
 }
 
+/// Identifies the columns of tables and aligns their clocks: the first step of an audit.
+///
+/// # Errors
+/// If tables with different time origins cannot be aligned.
+pub fn prepare(log: &mut Log, options: &RunOptions) -> Result<(), Trouble> {
+    identify_columns(log, options);
+    align_table_clocks(log, options).map_err(Trouble::from)
+}
+
 impl Audited {
     /// Audits each segment as a separate run. Reports a segment that cannot be audited (ING001); returns
-    /// the error of the longest.
+    /// the error of the longest. The log must be [`prepare`]d.
     pub(crate) fn audit(
-        mut log: Log,
+        log: Log,
         options: &Options,
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
-        identify_columns(&mut log, &options.run);
-        align_table_clocks(&mut log, &options.run)?;
         let mut read = ReadLog::from_log(&log);
         if let Some(given) = &given {
             read.note_corrections(given);

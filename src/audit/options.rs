@@ -1,9 +1,12 @@
 use std::path::PathBuf;
 
+use bytes::Bytes;
+
 use crate::checks::Settings;
 use crate::finding::Severity;
 use crate::log::ReadOptions;
 use crate::places::PathRegistry;
+use crate::report::{Trouble, TroubleKind};
 use crate::run::{RobotSource, RunOptions};
 
 /// Input and settings of an audit.
@@ -42,6 +45,24 @@ impl Default for Policy {
 }
 
 impl Options {
+    /// Sets the logs to files in memory, by name.
+    ///
+    /// # Errors
+    /// If two have the same name.
+    pub fn with_given(mut self, logs: Vec<(PathBuf, Bytes)>) -> Result<Self, Trouble> {
+        self.logs = logs.iter().map(|(name, _)| name.clone()).collect();
+        self.read.given = logs.into_iter().collect();
+        match self.logs.len() == self.read.given.len() {
+            true => Ok(self),
+            false => Err(Trouble {
+                kind: TroubleKind::Call,
+                what: "two files have the same name".to_owned(),
+                place: "the files".to_owned(),
+                remedy: "use a different name for each".to_owned(),
+            }),
+        }
+    }
+
     /// Files that the audit reads.
     pub fn places(&self) -> PathRegistry {
         let mut places = PathRegistry::default();

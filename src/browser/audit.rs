@@ -122,16 +122,7 @@ impl AuditRequest {
                 run.robots = own;
             }
         }
-        options.logs = logs.iter().map(|(name, _)| name.clone()).collect();
-        options.read.given = logs.into_iter().collect();
-        match options.logs.len() == options.read.given.len() {
-            true => Ok((options, words)),
-            false => Err(misuse(
-                "the files",
-                "two files have the same name",
-                "use a different name for each",
-            )),
-        }
+        Ok((options.with_given(logs)?, words))
     }
 }
 

@@ -9,8 +9,10 @@
 //!
 //! Frame names are the log's, so the scene is part of its frame tree.
 
+mod channels;
 mod errors;
 mod layout;
+mod problems;
 mod schema;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,6 +33,9 @@ use crate::report::outline::Outline;
 use crate::report::{Report, Trouble, write_whole};
 use crate::stats::thin;
 use crate::time::Stamp;
+
+pub use channels::{Channel, ChannelMessage, channels};
+pub use problems::{Problem, problems};
 
 /// Scenes per stream.
 const MAX_SCENES: usize = 2_000;
@@ -84,6 +89,7 @@ impl Audited {
     }
 }
 
+#[derive(Debug)]
 struct Message {
     topic: String,
     schema: &'static str,
@@ -95,8 +101,7 @@ fn messages(audited: &Audited) -> Vec<Message> {
     let Audited { report, run, evidence, .. } = audited;
     let (start, end) = run.span.unwrap_or((run.origin, run.origin));
     let outline = Outline::new(report);
-    let verdict = format!("{}: {}", report.verdict, outline.verdict_reason());
-    let mut messages = vec![log_message(start, 2, "verdict", &verdict)];
+    let mut messages = vec![log_message(start, 2, "verdict", &verdict_text(report, &outline))];
     messages
         .extend(report.findings.iter().map(|finding| finding_message(finding, &outline, start)));
     for arm in &evidence.robots {
@@ -119,12 +124,19 @@ fn finding_message(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Me
         Severity::Warning => 3,
         Severity::Error => 4,
     };
+    let text = format!("{}\nfix: {}", finding_text(finding, outline), finding.fix);
+    log_message(finding.start_ns.unwrap_or(start).max(start), level, finding.code, &text)
+}
+
+fn verdict_text(report: &Report, outline: &Outline<'_>) -> String {
+    format!("{}: {}", report.verdict, outline.verdict_reason())
+}
+
+fn finding_text(finding: &Finding, outline: &Outline<'_>) -> String {
     let subject = outline.subject(&finding.subject);
     let about = outline.finding_lines(finding).into_iter().map(|line| format!("\n{line}"));
     let about: String = about.collect();
-    let text =
-        format!("{} {subject}: {}{about}\nfix: {}", finding.code, finding.message, finding.fix);
-    log_message(finding.start_ns.unwrap_or(start).max(start), level, finding.code, &text)
+    format!("{} {subject}: {}{about}", finding.code, finding.message)
 }
 
 fn log_message(at: Stamp, level: u8, code: &str, text: &str) -> Message {
@@ -240,11 +252,7 @@ fn encode_mcap(messages: &[Message]) -> Result<Vec<u8>, McapError> {
         .compression_threads(0);
     let mut writer = options.create(Cursor::new(Vec::new()))?;
     let mut schemas = BTreeMap::new();
-    for (name, schema) in [
-        (LOG_SCHEMA, schema::log()),
-        (SCENE_SCHEMA, schema::scene()),
-        (ERROR_SCHEMA, schema::error()),
-    ] {
+    for (name, schema) in schema::of_audit() {
         let id = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
         schemas.insert(name, id);
     }

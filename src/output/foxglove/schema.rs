@@ -1,7 +1,17 @@
-//! JSON schemas: `foxglove.Log` and `foxglove.SceneUpdate` with the fields that Foxglove documents, and
-//! `poseaudit.Error`.
+//! JSON schemas: `foxglove.` ones with the fields that Foxglove documents, and those of poseaudit.
 
 use serde_json::{Map, Value, json};
+
+use super::{ERROR_SCHEMA, LOG_SCHEMA, SCENE_SCHEMA};
+
+/// Schemas of an audit's messages, by name.
+pub fn of_audit() -> [(&'static str, Value); 3] {
+    [(LOG_SCHEMA, log()), (SCENE_SCHEMA, scene()), (ERROR_SCHEMA, error())]
+}
+
+pub fn by_name(name: &str) -> Option<Value> {
+    of_audit().into_iter().find(|(own, _)| *own == name).map(|(_, schema)| schema)
+}
 
 fn object<const N: usize>(fields: [(&str, Value); N]) -> Value {
     let fields: Map<String, Value> =
@@ -25,16 +35,66 @@ fn vector() -> Value {
     object(["x", "y", "z"].map(|axis| (axis, type_schema("number"))))
 }
 
+fn quaternion() -> Value {
+    object(["x", "y", "z", "w"].map(|axis| (axis, type_schema("number"))))
+}
+
 fn pose() -> Value {
-    let orientation = object(["x", "y", "z", "w"].map(|axis| (axis, type_schema("number"))));
-    object([("position", vector()), ("orientation", orientation)])
+    object([("position", vector()), ("orientation", quaternion())])
 }
 
 fn colour() -> Value {
     object(["r", "g", "b", "a"].map(|part| (part, type_schema("number"))))
 }
 
-pub fn log() -> Value {
+/// rad, rad/s; m, m/s for prismatic joints. Missing values have no field.
+pub fn joint_states() -> Value {
+    let joint = object([
+        ("name", type_schema("string")),
+        ("position", type_schema("number")),
+        ("velocity", type_schema("number")),
+    ]);
+    object([("timestamp", time()), ("joints", list(&joint))])
+}
+
+pub fn pose_in_frame() -> Value {
+    object([("timestamp", time()), ("frame_id", type_schema("string")), ("pose", pose())])
+}
+
+pub fn frame_transform() -> Value {
+    object([
+        ("timestamp", time()),
+        ("parent_frame_id", type_schema("string")),
+        ("child_frame_id", type_schema("string")),
+        ("translation", vector()),
+        ("rotation", quaternion()),
+    ])
+}
+
+pub fn imu() -> Value {
+    object([
+        ("timestamp", time()),
+        ("frame_id", type_schema("string")),
+        ("orientation", quaternion()),
+        ("angular_velocity", vector()),
+        ("linear_acceleration", vector()),
+    ])
+}
+
+/// Described by the names of the columns, if they have any.
+pub fn numbers(names: &str) -> Value {
+    let mut values = list(&type_schema("number"));
+    if !names.is_empty() {
+        values["description"] = json!(names);
+    }
+    object([("timestamp", time()), ("values", values)])
+}
+
+pub fn text() -> Value {
+    object([("timestamp", time()), ("text", type_schema("string"))])
+}
+
+fn log() -> Value {
     object([
         ("timestamp", time()),
         ("level", type_schema("integer")),
@@ -46,7 +106,7 @@ pub fn log() -> Value {
 }
 
 /// Millimetres and degrees, for plots. A limit that is switched off is null.
-pub fn error() -> Value {
+fn error() -> Value {
     object([
         ("timestamp", time()),
         ("robot", type_schema("string")),
@@ -59,7 +119,7 @@ pub fn error() -> Value {
     ])
 }
 
-pub fn scene() -> Value {
+fn scene() -> Value {
     let deletion = object([
         ("timestamp", time()),
         ("type", type_schema("integer")),
