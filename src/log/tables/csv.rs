@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 
 use jiff::civil::{DateTime, Time};
-use rayon::prelude::*;
 
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, vector_cells,
@@ -60,32 +59,18 @@ pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// Delimiters within quotation marks are text.
 pub(super) fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
-    let mut cells = Vec::new();
-    split_cells(line, delimiter, &mut cells);
-    cells
-}
-
-/// Replaces the content of `cells`.
-fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
-    cells.clear();
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
-        return cells.extend(words.map(unquoted));
-    }
-    if memchr::memchr(b'"', line).is_none() {
-        return cells.extend(rtde::cells(line, delimiter));
+        return words.map(unquoted).collect();
     }
     let mut quoted = false;
     let split = line.split(|byte| {
         quoted ^= *byte == b'"';
         *byte == delimiter && !quoted
     });
-    cells.extend(split.map(unquoted));
+    let cells = split.map(unquoted).collect();
     // An unmatched quotation mark does not quote.
-    if quoted {
-        cells.clear();
-        cells.extend(rtde::cells(line, delimiter));
-    }
+    if quoted { rtde::cells(line, delimiter).collect() } else { cells }
 }
 
 fn unquoted(cell: &[u8]) -> &[u8] {
@@ -120,14 +105,7 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
 /// Offset, number from 1 and text of each nonblank line. Tabs stay: they may delimit empty cells.
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let mut at = 0;
-    let mut rest = bytes;
-    let split = std::iter::from_fn(move || {
-        let end = memchr::memchr(b'\n', rest).map_or(rest.len(), |end| end + 1);
-        let (line, after) = rest.split_at(end);
-        rest = after;
-        (!line.is_empty()).then_some(line)
-    });
-    let all = split.enumerate().map(move |(index, line)| {
+    let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
         let offset = at;
         at += line.len();
         let is_space = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
@@ -263,117 +241,49 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     Ok(vec![("0".to_owned(), read_rows(bytes, layout, context)?)])
 }
 
-pub(super) fn read_rows<'a>(
-    bytes: &'a [u8],
+pub(super) fn read_rows(
+    bytes: &[u8],
     layout: TextLayout,
     context: &mut ReadContext,
 ) -> Result<Table, TableError> {
-    /// Parts in memory at once, besides the rows already read.
-    const PARTS_AT_ONCE: usize = 16;
+    let losses = &mut *context.losses;
+    let TextLayout { delimiter, names, width, rows_at, line: first_line } = layout;
     let is_time = |name: &String| clock::is_time(name);
-    let times: Vec<bool> = match &layout.names {
-        Some(names) => names.iter().map(is_time).collect(),
-        None => (0..layout.width).map(|at| context.times.contains(&at)).collect(),
+    let times: Vec<bool> = names.iter().flatten().map(is_time).collect();
+    let times: Vec<bool> = match names.is_some() {
+        true => times,
+        false => (0..width).map(|at| context.times.contains(&at)).collect(),
     };
-    let times: Vec<usize> = (0..times.len()).filter(|&at| times[at]).collect();
-    let read =
-        |&(first_line, part): &(usize, &'a [u8])| Rows::read(part, first_line, &layout, &times);
-    let mut all = Rows::new(layout.width);
-    for parts in split_lines(&bytes[layout.rows_at..], layout.line).chunks(PARTS_AT_ONCE) {
-        let rows: Vec<Rows> = match parts {
-            [only] => vec![read(only)],
-            parts => parts.par_iter().map(read).collect(),
-        };
-        for rows in rows {
-            // An exact time takes two numbers, and the mark for a missing one.
-            context.memory.reserve(rows.lines.len() * (layout.width + 1 + 4 * times.len()))?;
-            all.append(rows);
+    let mut billionths: Vec<Vec<Option<i128>>> = vec![Vec::new(); width];
+    let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
+    let mut texts: Vec<Option<&[u8]>> = vec![None; width];
+    let mut line_numbers = Vec::new();
+    let ends_in_line = bytes.last() == Some(&b'\n');
+    let mut malformed: Option<(u64, String)> = None;
+    for (offset, line, text) in lines(&bytes[rows_at..]) {
+        if comment(text).is_some() {
+            continue;
         }
-    }
-    let Rows { values, billionths, texts, lines, malformed, open_end } = all;
-    if let Some(what) = open_end {
-        context.losses.add_unplaced(Extent::Tail, Some(1), what);
-    }
-    if let Some((count, first)) = malformed {
-        context.losses.add_unplaced(Extent::Messages, Some(count), first);
-    }
-    Ok(Table { lines, ..build_table(layout.names, values, billionths, &texts) })
-}
-
-/// Whole lines in parts of about a megabyte, with the number of their first line.
-fn split_lines(bytes: &[u8], first_line: usize) -> Vec<(usize, &[u8])> {
-    const PART_BYTES: usize = 1 << 20;
-    let (mut parts, mut rest, mut line) = (Vec::new(), bytes, first_line);
-    while !rest.is_empty() {
-        let end = rest.get(PART_BYTES..).and_then(|after| memchr::memchr(b'\n', after));
-        let end = end.map_or(rest.len(), |end| PART_BYTES + end + 1);
-        let (part, after) = rest.split_at(end);
-        parts.push((line, part));
-        line += memchr::memchr_iter(b'\n', part).count();
-        rest = after;
-    }
-    parts
-}
-
-/// Rows of consecutive lines, by column.
-struct Rows<'a> {
-    values: Vec<Vec<f64>>,
-    billionths: Vec<Vec<Option<i128>>>,
-    /// First cell of each column.
-    texts: Vec<Option<&'a [u8]>>,
-    lines: Vec<usize>,
-    /// Number of malformed lines, and the first one.
-    malformed: Option<(u64, String)>,
-    /// Why the last line is lost, if it has no end.
-    open_end: Option<String>,
-}
-
-impl<'a> Rows<'a> {
-    fn new(width: usize) -> Self {
-        Self {
-            values: vec![Vec::new(); width],
-            billionths: vec![Vec::new(); width],
-            texts: vec![None; width],
-            lines: Vec::new(),
-            malformed: None,
-            open_end: None,
+        let line = first_line + line - 1;
+        let mut row = if text.len() > MAX_LINE_BYTES { Vec::new() } else { cells(text, delimiter) };
+        row.truncate(row.len() - trailing_empty_cells(&row).min(row.len().saturating_sub(width)));
+        let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
+        let texts_in_row =
+            row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
+        let is_header = || names.as_ref().is_some_and(|names| repeats_names(&row, names));
+        if row.len() == width && 2 * texts_in_row > width && is_header() {
+            continue;
         }
-    }
-
-    /// Columns `times` keep every digit.
-    fn read(bytes: &'a [u8], first_line: usize, layout: &TextLayout, times: &[usize]) -> Self {
-        let &TextLayout { delimiter, ref names, width, .. } = layout;
-        // Otherwise the file may end within the last row.
-        let ends_in_line = bytes.last() == Some(&b'\n');
-        let mut rows = Self::new(width);
-        let (mut row, mut numbers) = (Vec::new(), Vec::new());
-        for (offset, line, text) in lines(bytes) {
-            if comment(text).is_some() {
-                continue;
-            }
-            let line = first_line + line - 1;
-            match text.len() > MAX_LINE_BYTES {
-                true => row.clear(),
-                false => split_cells(text, delimiter, &mut row),
-            }
-            row.truncate(
-                row.len() - trailing_empty_cells(&row).min(row.len().saturating_sub(width)),
-            );
-            numbers.clear();
-            numbers.extend(row.iter().map(|cell| number(cell, delimiter)));
-            let texts_in_row =
-                row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
-            let is_header = || names.as_ref().is_some_and(|names| repeats_names(&row, names));
-            if row.len() == width && 2 * texts_in_row > width && is_header() {
-                continue;
-            }
-            if row.len() != width || 2 * texts_in_row > width {
-                let is_last =
-                    row.len() != width && !ends_in_line && !bytes[offset..].contains(&b'\n');
-                if is_last {
-                    rows.open_end = Some(format!("the file ends within line {line}"));
-                    continue;
-                }
+        if row.len() != width || 2 * texts_in_row > width {
+            let is_last =
+                row.len() != width && !bytes[rows_at + offset..].contains(&b'\n') && !ends_in_line;
+            if is_last {
+                losses.add_unplaced(
+                    Extent::Tail,
+                    Some(1),
+                    format!("the file ends within line {line}"),
+                );
+            } else {
                 let what = match () {
                     () if text.len() > MAX_LINE_BYTES => {
                         format!("line {line} has {} bytes", text.len())
@@ -383,40 +293,28 @@ impl<'a> Rows<'a> {
                     }
                     () => format!("line {line}: {} columns, not {width}", row.len()),
                 };
-                rows.malformed.get_or_insert((0, what)).0 += 1;
-                continue;
+                malformed.get_or_insert((0, what)).0 += 1;
             }
-            rows.lines.push(line);
-            for &at in times {
-                rows.billionths[at].push(decimal_billionths(row[at], delimiter != b','));
-            }
-            for (((column, first), cell), own) in
-                rows.values.iter_mut().zip(&mut rows.texts).zip(&row).zip(&numbers)
-            {
-                column.push(*own);
-                first.get_or_insert(*cell);
-            }
+            continue;
         }
-        rows
-    }
-
-    /// Appends the rows of the next lines.
-    fn append(&mut self, next: Self) {
-        for (own, next) in self.values.iter_mut().zip(next.values) {
-            own.extend_from_slice(&next);
+        context.memory.reserve(width + 1)?;
+        line_numbers.push(line);
+        for at in (0..times.len()).filter(|&at| times[at]) {
+            // Two numbers, and the mark for a missing one.
+            context.memory.reserve(4)?;
+            billionths[at].push(decimal_billionths(row[at], delimiter != b','));
         }
-        for (own, next) in self.billionths.iter_mut().zip(next.billionths) {
-            own.extend_from_slice(&next);
-        }
-        for (own, next) in self.texts.iter_mut().zip(next.texts) {
-            *own = own.or(next);
-        }
-        self.lines.extend_from_slice(&next.lines);
-        self.open_end = self.open_end.take().or(next.open_end);
-        if let Some((count, first)) = next.malformed {
-            self.malformed.get_or_insert((0, first)).0 += count;
+        for (((column, known), cell), own) in
+            values.iter_mut().zip(&mut texts).zip(row).zip(numbers)
+        {
+            column.push(own);
+            known.get_or_insert(cell);
         }
     }
+    if let Some((count, first)) = malformed {
+        losses.add_unplaced(Extent::Messages, Some(count), first);
+    }
+    Ok(Table { lines: line_numbers, ..build_table(names, values, billionths, &texts) })
 }
 
 /// Markers for missing numbers are not text.
@@ -512,12 +410,7 @@ pub(super) fn decimal_billionths(cell: &[u8], decimal_comma: bool) -> Option<i12
     };
     let is_mark = |c: char| c == '.' || (decimal_comma && c == ',');
     let (whole, fraction) = mantissa.split_once(is_mark).unwrap_or((mantissa, ""));
-    let digits = format!("{whole}{fraction}");
-    // Parsing 128 bits takes several times as long.
-    let digits = match digits.len() {
-        ..=18 => i128::from(digits.parse::<i64>().ok()?),
-        _ => digits.parse().ok()?,
-    };
+    let digits: i128 = format!("{whole}{fraction}").parse().ok()?;
     if exponent.abs() > MAX_EXPONENT {
         return None;
     }
