@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
-use super::{Audited, Options};
+use super::Options;
 use crate::geometry::{Pose, xyzw_from_rotation};
 use crate::log::{Log, Topic};
 use crate::robot::Robot;

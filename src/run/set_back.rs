@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::rows::Rows;
-use crate::stats::median;
+use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::time::Stamp;
 
 /// Removes rows after a clock was set back until it has caught up.
@@ -36,6 +36,8 @@ pub(super) fn continue_stamps(rows: &mut Rows, received: &[i64]) {
 fn set_backs(rows: &mut Rows, received: &[i64]) -> Vec<Range<usize>> {
     /// Compared on each side.
     const SIDE_ROWS: usize = 50;
+    /// Standard errors of a significant change of the delay.
+    const MIN_STD_ERRORS: f64 = 6.0;
     if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
         return Vec::new();
     }
@@ -49,19 +51,32 @@ fn set_backs(rows: &mut Rows, received: &[i64]) -> Vec<Range<usize>> {
         })
         .collect();
     let delay_ns = |row: usize| (received[rows[row].1] - rows[row].0.nanos()) as f64;
-    let usual = |rows: Range<usize>| median(&mut rows.map(delay_ns).collect::<Vec<_>>());
+    // Median, and its standard error.
+    let usual = |rows: Range<usize>| {
+        let count = rows.len() as f64;
+        let delays: Vec<f64> = rows.map(delay_ns).collect();
+        let median_ns = median(&mut delays.clone())?;
+        let mut deviations: Vec<f64> = delays.iter().map(|one| (one - median_ns).abs()).collect();
+        let std_dev = STD_DEV_PER_MEDIAN * median(&mut deviations)?;
+        Some((median_ns, std_dev / count.sqrt()))
+    };
     let (mut found, mut start) = (Vec::new(), 0);
     for block in behind_ns.chunk_by(|a, b| (*a > 0) == (*b > 0)) {
-        let end = start + block.len();
-        let before = usual(start.saturating_sub(SIDE_ROWS)..start);
-        let after = usual(end..(end + SIDE_ROWS).min(rows.len()));
-        let is_lasting = |before: f64, after: f64| after - before > 0.5 * block[0] as f64;
-        if block[0] > 0
-            && before.zip(after).is_some_and(|(before, after)| is_lasting(before, after))
-        {
-            found.push(start..end);
+        let overlap = start..start + block.len();
+        start = overlap.end;
+        let set_back_ns = block[0] as f64;
+        if set_back_ns == 0.0 {
+            continue;
         }
-        start = end;
+        let before = usual(overlap.start.saturating_sub(SIDE_ROWS)..overlap.start);
+        let after = usual(overlap.end..(overlap.end + SIDE_ROWS).min(rows.len()));
+        let is_lasting = |(before, after): ((f64, f64), (f64, f64))| {
+            let std_error = before.1.hypot(after.1);
+            after.0 - before.0 > (0.5 * set_back_ns).max(MIN_STD_ERRORS * std_error)
+        };
+        if before.zip(after).is_some_and(is_lasting) {
+            found.push(overlap);
+        }
     }
     found
 }
