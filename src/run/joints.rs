@@ -35,10 +35,10 @@ pub(super) struct JointTopic<'a> {
 }
 
 impl JointTopic<'_> {
-    /// Whether all rows are selected and strictly increase in time.
+    /// Whether all rows are selected and strictly increase in time, in the order of the columns.
     pub fn is_in_order(&self) -> bool {
         self.rows.len() == self.columns.times.len()
-            && self.rows.is_sorted_by(|(earlier, _), (later, _)| earlier < later)
+            && self.rows.is_sorted_by(|earlier, later| earlier.0 < later.0 && earlier.1 < later.1)
     }
 
     /// Whether it has samples of the joint.
