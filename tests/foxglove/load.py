@@ -259,7 +259,7 @@ def check_fixture(opened: Opened, log: Path) -> None:
     decoded = 0
     with log.open("rb") as stream:
         others = defaultdict(list)
-        for schema, channel, message, content in make_reader(stream, [DecoderFactory()]).iter_decoded_messages():
+        for schema, channel, message, content in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             if schema.name in ("sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"):
                 others[channel.topic].append((message.log_time, schema.name, content))
     for topic, messages in others.items():
@@ -300,7 +300,7 @@ def check_unreadable(extension: Extension, program: str, folder: Path) -> None:
 def check_several_files(extension: Extension, folder: Path, of: Motion) -> None:
     """Files that are opened together are one run."""
     rows = np.column_stack([of.t, of.q]), np.column_stack([of.t, of.xyz, of.xyzw])
-    files = folder / "joints_run.csv", folder / "tracker_run.csv"
+    files = folder / "joints_run.csv", folder / "tcp_run.csv"
     files[0].write_text(write_csv(["timestamp", *JOINTS], rows[0]))
     files[1].write_text(write_csv(["timestamp", "x", "y", "z", "qx", "qy", "qz", "qw"], rows[1]))
     opened = Opened(extension, *files)

@@ -293,9 +293,11 @@ fn pose_channels(audited: &Audited) -> Vec<Channel> {
     let streams = audited.evidence.poses_and_tf().map(|(_, stream)| stream);
     let channels = streams.filter(|stream| stream.reference_known).flat_map(|stream| {
         let aligned = &stream.diagnosis.aligned;
-        [("pose", &aligned.logged), ("fk", &aligned.fk)].map(|(kind, poses)| {
+        let in_m = stream.declared.map_or(1.0, |declared| declared.lengths.in_m());
+        [("pose", &aligned.logged, in_m), ("fk", &aligned.fk, 1.0)].map(|(kind, poses, in_m)| {
             let topic = format!("/poseaudit/{kind}/{}", stream.topic().trim_start_matches('/'));
-            let columns = pose_columns(&aligned.t_s, poses, audited.run.origin, &stream.reference);
+            let (t_s, origin) = (&aligned.t_s, audited.run.origin);
+            let columns = pose_columns(t_s, poses, in_m, origin, &stream.reference);
             let content = Content::Columns(Box::new(Columns::Poses(vec![columns])));
             Channel::new(topic, "foxglove.PoseInFrame", schema::pose_in_frame(), content)
         })
@@ -303,12 +305,13 @@ fn pose_channels(audited: &Audited) -> Vec<Channel> {
     channels.collect()
 }
 
-fn pose_columns(t_s: &[f64], poses: &[Pose], origin: Stamp, frame: &str) -> PoseColumns {
+/// `in_m` is the unit of the positions.
+fn pose_columns(t_s: &[f64], poses: &[Pose], in_m: f64, origin: Stamp, frame: &str) -> PoseColumns {
     let mut columns = PoseColumns { frame_id: frame.to_owned(), ..PoseColumns::default() };
     for (t_s, pose) in t_s.iter().zip(poses) {
         let at = origin.shifted(*t_s).nanos();
         columns.times.push(at, at, at);
-        columns.xyz.push(xyz_of(pose));
+        columns.xyz.push(xyz_of(pose).map(|one| in_m * one));
         columns.q_xyzw.push(xyzw_from_rotation(&pose.rotation));
     }
     columns
