@@ -293,7 +293,11 @@ fn pose_channels(audited: &Audited) -> Vec<Channel> {
     let streams = audited.evidence.poses_and_tf().map(|(_, stream)| stream);
     let channels = streams.filter(|stream| stream.reference_known).flat_map(|stream| {
         let aligned = &stream.diagnosis.aligned;
-        let in_m = stream.declared.map_or(1.0, |declared| declared.lengths.in_m());
+        let found = stream.diagnosis.length_unit.as_ref().ok().copied().flatten();
+        let in_m = match stream.declared {
+            Some(declared) => declared.lengths.in_m(),
+            None => found.filter(|_| stream.is_undeclared).map_or(1.0, |unit| unit.factor()),
+        };
         [("pose", &aligned.logged, in_m), ("fk", &aligned.fk, 1.0)].map(|(kind, poses, in_m)| {
             let topic = format!("/poseaudit/{kind}/{}", stream.topic().trim_start_matches('/'));
             let (t_s, origin) = (&aligned.t_s, audited.run.origin);
