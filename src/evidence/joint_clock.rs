@@ -1,4 +1,4 @@
-//! Steps of the joint states' clock. Every other stream appears to step the other way at the same time.
+//! Steps of the joint states' clock. All other streams appear to step in the opposite direction at the same time.
 
 use std::sync::Arc;
 
@@ -11,15 +11,15 @@ use crate::stream::JointTrack;
 /// Standard errors of a significant clock skew.
 const MIN_STD_ERRORS: f64 = 6.0;
 
-/// A stream with stamps of its own.
+/// Stream whose stamps are independent of the joint states'.
 struct OtherClock<'a> {
     latency_s: f64,
     profile: &'a LatencyProfile,
     is_skewed: bool,
 }
 
-/// The arm with corrected stamps of its joint states, and the latency profile of the joint states. `None` unless at
-/// least two streams with stamps of their own deviate, and one of them has latency steps.
+/// The arm with corrected stamps of the joint states, and the latency profile of the joint states. `None` unless at
+/// least two streams have independent stamps, all of them vary, and one of them has latency steps.
 pub(super) fn with_corrected_joint_stamps(
     arm: &Arm,
     found: &ArmStreamsDiagnosis,
@@ -38,17 +38,21 @@ pub(super) fn with_corrected_joint_stamps(
     Some((corrected, joint_profile(stepped.profile, &steps)))
 }
 
-/// Whether the latency of no stream with stamps of its own varies by more than a small share of the steps in `removed`.
+/// Whether streams with independent stamps remain comparable, and no latency varies by more than a small share of the
+/// steps in `removed`.
 pub(super) fn are_others_steady(
     arm: &Arm,
     found: &ArmStreamsDiagnosis,
     removed: &LatencyProfile,
 ) -> bool {
+    /// Larger variations remain if the steps are not the joint states'.
     const MAX_REMAINING_SHARE: f64 = 0.1;
     let max_s = MAX_REMAINING_SHARE * removed.swing_s.value.abs();
-    let is_steady =
-        |clock: OtherClock| !clock.profile.is_unsteady || clock.profile.swing_s.value.abs() < max_s;
-    other_clocks(arm, found).into_iter().all(is_steady)
+    let is_steady = |clock: &OtherClock| {
+        !clock.profile.is_unsteady || clock.profile.swing_s.value.abs() < max_s
+    };
+    let clocks = other_clocks(arm, found);
+    !clocks.is_empty() && clocks.iter().all(is_steady)
 }
 
 fn other_clocks<'a>(arm: &Arm, found: &'a ArmStreamsDiagnosis) -> Vec<OtherClock<'a>> {
@@ -77,8 +81,9 @@ fn other_clocks<'a>(arm: &Arm, found: &'a ArmStreamsDiagnosis) -> Vec<OtherClock
 }
 
 impl OtherClock<'_> {
-    /// Steps of the latency. A ramp shorter than a second is one: rows near it were lost.
+    /// Steps of the latency. A short ramp is a step near which rows were lost.
     fn steps(&self) -> Vec<LatencyStep> {
+        /// A window of the profile, which resolves no more.
         const MAX_STEP_S: f64 = 1.0;
         match self.profile.shape {
             _ if !self.profile.is_unsteady => Vec::new(),
@@ -89,11 +94,12 @@ impl OtherClock<'_> {
         }
     }
 
-    /// Steps, each where the joint states' stamps `t_s` have an interval that is longer by its size. A step is dated to
-    /// a window or the next motion.
+    /// Steps, dated by the stamps `t_s` of the joint states: each moves to the interval that is longer by its size, if
+    /// there is one nearby.
     fn steps_in_stamps(&self, t_s: &[f64]) -> Vec<LatencyStep> {
+        /// A profile dates a step to a window or to the next motion.
         const MAX_ERROR_S: f64 = 1.5;
-        /// Of the step.
+        /// Of the step's size.
         const MAX_DIFFERENCE_SHARE: f64 = 0.3;
         let mut intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let period_s = median(&mut intervals).unwrap_or(0.0);
@@ -111,19 +117,13 @@ impl OtherClock<'_> {
     }
 }
 
-/// The level with the least latency is taken as correct.
+/// Assumes that the smallest latency is correct.
 fn corrected_stamps(
     joints: &JointTrack,
     by: &OtherClock,
     steps: &[LatencyStep],
 ) -> Option<JointTrack> {
-    let first_s = by.profile.levels.first()?.1;
-    let levels: Vec<f64> = std::iter::once(first_s)
-        .chain(steps.iter().scan(first_s, |level_s, step| {
-            *level_s += step.size_s.value;
-            Some(*level_s)
-        }))
-        .collect();
+    let levels: Vec<f64> = levels(by.profile, steps).into_iter().map(|level| level.1).collect();
     let latency = |level_s: &&f64| (by.latency_s + **level_s).abs();
     let correct_s = *levels.iter().min_by(|a, b| latency(a).total_cmp(&latency(b)))?;
     let corrected = |t_s: f64| {
@@ -146,6 +146,16 @@ fn corrected_stamps(
     })
 }
 
+/// Levels of a profile with these steps. Those of a ramp contain its slope.
+fn levels(profile: &LatencyProfile, steps: &[LatencyStep]) -> Vec<(f64, f64)> {
+    let Some(first) = profile.levels.first().copied() else { return Vec::new() };
+    let later = steps.iter().scan(first.1, |level_s, step| {
+        *level_s += step.size_s.value;
+        Some((step.at_s, *level_s))
+    });
+    std::iter::once(first).chain(later).collect()
+}
+
 /// Profile of the joint states against a stream with this profile and these steps.
 fn joint_profile(other: &LatencyProfile, steps: &[LatencyStep]) -> LatencyProfile {
     let step = |step: &LatencyStep| LatencyStep { size_s: step.size_s.scaled(-1.0), ..*step };
@@ -154,7 +164,7 @@ fn joint_profile(other: &LatencyProfile, steps: &[LatencyStep]) -> LatencyProfil
         is_unsteady: true,
         shape: LatencyShape::Steps,
         steps: steps.iter().map(step).collect(),
-        levels: other.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
+        levels: levels(other, steps).into_iter().map(|(at_s, level_s)| (at_s, -level_s)).collect(),
         windows: other.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     }
 }

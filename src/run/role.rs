@@ -246,6 +246,10 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if let Some(word) = find_word(&decisive_words(topic), COMMAND_WORDS) {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
+    if let Some(word) = find_word(&topic_words, COMMAND_WORDS) {
+        let reason = format!("the word '{word}' in its namespace may be that of a command");
+        return (Role::Candidate { presumed: false }, reason);
+    }
     match pose.child {
         FrameKind::MovingLink => {
             return (
@@ -351,8 +355,8 @@ fn command_word(topic: &str) -> Option<&'static str> {
         .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
 }
 
-/// Words of a topic. If its last segment names a tool or joint states, those of a namespace such as `plan_a` say
-/// nothing about it, but a namespace such as `command` does.
+/// Words of a topic that determine its role. If the last segment names a tool or joint states, a namespace such as
+/// `plan_a` determines nothing, but a namespace such as `command` does.
 fn decisive_words(topic: &str) -> Vec<String> {
     let (namespaces, name) = topic.rsplit_once('/').unwrap_or(("", topic));
     let segments = namespaces.split('/').map(split_words);
@@ -459,8 +463,9 @@ mod tests {
             ("/amcl_pose", map, none, Role::Unassigned),
             ("/ee_pose_odom", base, none, weak),
             ("/slam_cart/tool_pose", base, none, weak),
-            ("/plan_a/robot/tcp_pose", base, none, Role::Pose),
-            ("/cmd_station/measured_tool_pose", base, none, Role::Pose),
+            ("/plan_a/robot/tcp_pose", base, none, weak),
+            ("/cmd_station/measured_tool_pose", base, none, weak),
+            ("/cartesian_goal/ee_pose", base, none, weak),
             ("/command/tcp_pose", base, none, Role::Reference),
             ("/goal_state/pose", base, none, Role::Reference),
             ("/grasp", ("tool0", MovingLink), none, Role::Unassigned),

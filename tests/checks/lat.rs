@@ -211,3 +211,17 @@ fn with_correlated_noise_the_interval_covers_the_true_latency() {
         assert!(coloured > 1.1 * white, "seed {seed}: {coloured} against {white}");
     }
 }
+
+#[test]
+fn a_clock_of_the_joint_states_that_is_set_back_is_one_finding() {
+    let report = Log::modified(|log| {
+        log.run.duration_s = 20.0;
+        log.run.joints.timing.clock_step = Some((9.0, -0.08));
+    })
+    .report();
+    let stepped = report.findings.iter().find(|finding| finding.code == "LAT003").expect("LAT003");
+    assert_eq!(stepped.subject.label(), JOINT_STATES);
+    Amount(-0.08, 2e-3).assert_matches(stepped.estimate.as_ref());
+    let others = report.findings.iter().filter(|finding| !finding.code.starts_with("TIM"));
+    assert_eq!(others.count(), 1, "found:\n{}", summary(&report.findings));
+}

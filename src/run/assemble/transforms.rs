@@ -217,12 +217,14 @@ impl Assembly<'_> {
             roots.all(|(arm, root)| child != root && !arm.tree.is_above(child, &root))
         };
         let is_link = |arm: &&Arm| arm.classify_frame(child).0 != FrameKind::Unknown;
-        // A link of an arm that the log names otherwise.
-        let is_in_moving_chain = |arm: &&Arm| {
-            arm.tree.edges().iter().any(|edge| {
+        // Links of an arm that the log names otherwise. A frame that moves along a chain of frames may be a tracked
+        // body, but only a joint turns it about a fixed point.
+        let is_link_elsewhere = |arm: &&Arm| {
+            let is_next = |edge: &Edge| {
                 let (above, below) = arm.tree.names(edge);
                 edge.kind == EdgeKind::Dynamic && (above == child || below == frame)
-            })
+            };
+            arm.tree.edges().iter().any(is_next) && turns_about_its_origin(transform)
         };
         if targets::is_detection(frame, child) && !arms.iter().any(is_link) {
             return true;
@@ -239,7 +241,7 @@ impl Assembly<'_> {
                 }
             };
         }
-        !arms.is_empty() && carries_none() && !arms.iter().any(is_in_moving_chain)
+        !arms.is_empty() && carries_none() && !arms.iter().any(is_link_elsewhere)
     }
 
     pub(super) fn assign_tf(&mut self, index: usize) {
@@ -255,6 +257,17 @@ impl Assembly<'_> {
             stream.reason = format!("{}; {reason}", stream.reason);
         }
     }
+}
+
+/// Whether only the rotation changes, as across a revolute joint.
+fn turns_about_its_origin(transform: &PoseColumns) -> bool {
+    /// Of published numbers.
+    const ROUNDING_M: f64 = 1e-6;
+    let is_first = |xyz: &[f64; 3]| {
+        let first = transform.xyz.first().unwrap_or(xyz);
+        xyz.iter().zip(first).all(|(one, first)| (one - first).abs() < ROUNDING_M)
+    };
+    transform.xyz.iter().all(is_first)
 }
 
 pub(super) fn add_fixed_joints(tf: &mut TfTree, arm: &Arm) {
