@@ -2,12 +2,14 @@
 //!
 //! Constant causes are estimated after compensating a variable latency. Joint compliance, change points and a drift of
 //! a frame compete to explain a remaining residual. The likeliest diagnosis wins.
+//!
+//! Streams are diagnosed together, unless some are FK of the joint states and others show joint zeros.
 
-use crate::arm::are_floating;
+use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_changes, diagnose_with_drift,
-    diagnose_with_recorded_changes,
+    constant_frames_suffice, diagnose_with_changes, diagnose_with_frame_changes,
+    diagnose_with_recorded_changes, is_explained_by_links,
 };
 use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
 use crate::latency::compensation::{CompensatedRun, with_tracks};
@@ -16,7 +18,7 @@ use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
-/// Diagnoses an arm's joint states and independent pose streams. `max_lag_s` is the largest latency to search.
+/// Diagnoses an arm's joint states and pose streams. `max_lag_s` is the largest latency to search.
 pub fn diagnose_run(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -24,17 +26,61 @@ pub fn diagnose_run(
     max_lag_s: f64,
 ) -> ArmDiagnosis {
     let run = ArmRun { joints, streams, is_prismatic, max_lag_s };
-    if let Some(by_changes) = diagnose_with_recorded_changes(&run) {
+    let together = diagnose_together(&run);
+    diagnose_without_derived(&run, &together).unwrap_or(together)
+}
+
+/// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros.
+/// The poses of a controller are FK of the same encoders, so they would hide them.
+fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+    if run.streams.len() < 2 || are_floating(run.streams) {
+        return None;
+    }
+    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
+        has_slow_residual(found) && !is_explained_by_links(found, stream)
+    };
+    if !together.streams.iter().zip(run.streams).any(is_open) {
+        return None;
+    }
+    let derived = run.streams.iter().map(|stream| {
+        let found = diagnose_derived(run.joints, None, stream, run.max_lag_s);
+        (!has_slow_residual(&found)).then_some(found)
+    });
+    let derived: Vec<Option<PoseDiagnosis>> = derived.collect();
+    let is_derived = |s: &usize| derived[*s].is_some();
+    let independent: Vec<usize> = (0..derived.len()).filter(|s| !is_derived(s)).collect();
+    if independent.is_empty() || independent.len() == derived.len() {
+        return None;
+    }
+    let streams: Vec<PoseStream> = independent.iter().map(|&s| run.streams[s]).collect();
+    let apart = diagnose_together(&ArmRun { streams: &streams, ..*run });
+    let common = ArmDiagnosis {
+        joints: together.joints.clone(),
+        streams: independent.iter().map(|&s| together.streams[s].clone()).collect(),
+    };
+    let has_zeros = apart.joints.offsets.iter().any(|offset| offset.is_chosen);
+    if !has_zeros || log_bayes_factor(&apart, &common) <= 0.0 {
+        return None;
+    }
+    let mut others = apart.streams.into_iter();
+    let streams = derived.into_iter().filter_map(|derived| derived.or_else(|| others.next()));
+    Some(ArmDiagnosis { streams: streams.collect(), joints: apart.joints })
+}
+
+fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
+    let streams = run.streams;
+    if let Some(by_changes) = diagnose_with_recorded_changes(run) {
         // Between poses in one frame, a drift leaves some segments as logged.
         let constant = are_floating(streams).then(|| run.diagnose());
-        return match constant.and_then(|constant| diagnose_with_drift(&run, &constant)) {
-            Some(by_drift) if log_bayes_factor(&by_drift, &by_changes) > 0.0 => by_drift,
+        let by_frames = constant.and_then(|constant| diagnose_with_frame_changes(run, &constant));
+        return match by_frames {
+            Some(by_frames) if log_bayes_factor(&by_frames, &by_changes) > 0.0 => by_frames,
             _ => by_changes,
         };
     }
-    let CompensatedRun { tracks, profiles, diagnosis } = CompensatedRun::new(&run);
+    let CompensatedRun { tracks, profiles, diagnosis } = CompensatedRun::new(run);
     let streams = with_tracks(streams, &tracks);
-    let run = ArmRun { streams: &streams, ..run };
+    let run = ArmRun { streams: &streams, ..*run };
     let (mut diagnosis, has_changes) =
         diagnose_with_varying_causes(&run, &diagnosis).unwrap_or((diagnosis, false));
     for (stream, compensated) in diagnosis.streams.iter_mut().zip(profiles) {
@@ -51,42 +97,40 @@ pub fn diagnose_run(
     diagnosis
 }
 
-/// Diagnosis with joint compliance, change points or a drift of a frame, and whether it has change points. `None` if
-/// `constant` is likelier.
+/// Diagnosis with joint compliance, change points or a drift of a frame, and whether it has change points of segments.
+/// `None` if `constant` is likelier.
 fn diagnose_with_varying_causes(
     run: &ArmRun,
     constant: &ArmDiagnosis,
 ) -> Option<(ArmDiagnosis, bool)> {
-    let is_floating = are_floating(run.streams);
-    let is_within_links = !is_floating && constant_frames_suffice(constant);
-    // Link deviations look like sag, eccentricity, steps and drifts, but not like backlash.
+    let is_within_links = !are_floating(run.streams) && constant_frames_suffice(constant);
+    // Link deviations look like sag and eccentricity, but not like backlash.
     let is_distinct = |it: &ArmDiagnosis| {
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
+    let by_frames = diagnose_with_frame_changes(run, constant);
+    let is_sufficient = |it: &ArmDiagnosis| !it.streams.iter().any(has_slow_residual);
+    let is_explained = |it: &ArmDiagnosis| {
+        let streams = it.streams.iter().zip(run.streams);
+        streams.into_iter().all(|(found, stream)| is_explained_by_links(found, stream))
+    };
+    if by_frames.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it)) {
+        return by_frames.map(|it| (it, false));
+    }
     let by_compliance = diagnose_scale_as_compliance(run, constant)
         .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     if is_within_links {
-        return by_compliance.map(|diagnosis| (diagnosis, false));
+        return Some((likeliest(by_compliance.into_iter().chain(by_frames))?, false));
     }
-    let is_sufficient = |it: &ArmDiagnosis| {
-        !it.joints.compliance.is_empty() && !it.streams.iter().any(has_slow_residual)
-    };
     // Backlash with few reversals resembles a changing zero or frame.
-    let max_changes =
-        if by_compliance.as_ref().is_some_and(is_sufficient) { 1 } else { usize::MAX };
-    let by_changes = diagnose_with_changes(run, constant, max_changes);
-    let (best, has_changes) = match (by_changes, by_compliance) {
-        (Some(changes), Some(compliance)) if log_bayes_factor(&compliance, &changes) > 0.0 => {
-            (Some(compliance), false)
-        }
-        (Some(changes), _) => (Some(changes), true),
-        (None, compliance) => (compliance, false),
+    let is_compliant = by_compliance
+        .as_ref()
+        .is_some_and(|it| !it.joints.compliance.is_empty() && is_sufficient(it));
+    let max_changes = if is_compliant { 1 } else { usize::MAX };
+    let by_segments = diagnose_with_changes(run, constant, max_changes).map(|it| (it, true));
+    let others = [by_compliance, by_frames].into_iter().flatten().map(|it| (it, false));
+    let likelier = |best: (ArmDiagnosis, bool), one: (ArmDiagnosis, bool)| {
+        if log_bayes_factor(&one.0, &best.0) > 0.0 { one } else { best }
     };
-    // Steps can imitate a drift.
-    let are_steps = |stream: &PoseDiagnosis| is_floating && stream.has_changes();
-    let is_open = best.as_ref().is_none_or(|best| {
-        best.streams.iter().any(|stream| are_steps(stream) || has_slow_residual(stream))
-    });
-    let by_drift = if is_open { diagnose_with_drift(run, constant) } else { None };
-    Some((likeliest(by_drift.into_iter().chain(best))?, has_changes))
+    by_segments.into_iter().chain(others).reduce(likelier)
 }

@@ -1,9 +1,14 @@
 //! Prior sizes and prices of causes. Log ratios are twice the natural logarithm of a likelihood ratio.
 
-/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8, which lowers the
+/// Price of a cause with one parameter: `ln n` of the Bayesian information criterion plus 8, which lowers the
 /// probability of a false cause from about 1 % to about 0.01 %.
 pub(crate) fn price(independent: f64) -> f64 {
-    independent.max(2.0).ln() + 8.0
+    price_of_cause(1, independent)
+}
+
+/// The same with this number of parameters.
+pub(crate) fn price_of_cause(parameters: usize, independent: f64) -> f64 {
+    parameters as f64 * independent.max(2.0).ln() + 8.0
 }
 
 /// Prior on a link frame's deviation, per axis, as in UR's factory calibrations.

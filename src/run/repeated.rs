@@ -159,10 +159,14 @@ fn group_steps(series: &PartSeries<'_>, pair: [&RepeatGroup; 2]) -> Vec<f64> {
     (0..series.values.width()).map(number).collect()
 }
 
-/// Joint speed, least increments per second, and motion of the fastest joint around it, rad or m.
+/// Joint speed around a time.
 struct JointSpeed {
     at: Stamp,
+    /// Of the fastest joint, in least increments per second.
     increments_per_s: f64,
+    /// Rate of new values.
+    values_hz: f64,
+    /// Motion of the fastest joint, rad or m.
     moved: f64,
 }
 
@@ -190,25 +194,32 @@ fn joint_speeds(series: &PartSeries<'_>) -> Vec<JointSpeed> {
             moved = moved.max((b - a).abs());
             increments = increments.max((b - a).abs() / quantum);
         }
+        let per_s = |count: f64| if span_s > 0.0 { count / span_s } else { 0.0 };
         JointSpeed {
             at: now,
-            increments_per_s: if span_s > 0.0 { increments / span_s } else { 0.0 },
+            increments_per_s: per_s(increments),
+            values_hz: per_s((to - from) as f64),
             moved,
         }
     };
     (0..groups.len()).map(pace).collect()
 }
 
-/// Whether joints are so fast that rows `period_s` apart must differ. `None` without joint states.
+/// Whether joints move, and so fast or with new values so often that rows `period_s` apart must differ. `None`
+/// without joint states.
 fn must_differ(motion: &JointMotion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
     /// Minimum visible motion per period, least increments.
     const MIN_INCREMENTS_PER_PERIOD: f64 = 3.0;
+    /// Coarse encoders repeat the other values.
+    const MIN_VALUES_PER_PERIOD: f64 = 1.0 - MIN_REMOVED_SHARE;
     let near = motion.iter().filter_map(|paces| {
         let next = paces.partition_point(|pace| pace.at < at);
         paces.get(next.min(paces.len().checked_sub(1)?))
     });
     near.map(|pace| {
-        pace.moved > MIN_MOTION && pace.increments_per_s * period_s > MIN_INCREMENTS_PER_PERIOD
+        pace.moved > MIN_MOTION
+            && (pace.increments_per_s * period_s > MIN_INCREMENTS_PER_PERIOD
+                || pace.values_hz * period_s > MIN_VALUES_PER_PERIOD)
     })
     .reduce(|a, b| a || b)
 }
@@ -329,7 +340,7 @@ fn corrected_stamp(series: &PartSeries<'_>, rows: std::ops::Range<usize>, is_own
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::{JointColumn, JointColumns};
+    use crate::stream::{JointColumn, JointColumns, PoseColumns, Times};
 
     const MS: i64 = 1_000_000;
 
@@ -353,19 +364,13 @@ mod tests {
         columns
     }
 
+    fn series<'a>(stream: usize, times: &'a Times, values: PartValues<'a>) -> PartSeries<'a> {
+        let rows = times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
+        PartSeries { stream, piece: 0, frame: None, is_table: false, rows, times, values }
+    }
+
     fn detect(columns: &JointColumns) -> Option<RepeatedValues> {
-        let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
-        let (times, values) = (&columns.times, PartValues::Joints(columns));
-        detect_repeated_values(&[PartSeries {
-            stream: 0,
-            piece: 0,
-            frame: None,
-            is_table: false,
-            rows,
-            times,
-            values,
-        }])
-        .pop()
+        detect_repeated_values(&[series(0, &columns.times, PartValues::Joints(columns))]).pop()
     }
 
     #[test]
@@ -391,5 +396,28 @@ mod tests {
             let share = detect(&read(5, 5, bit)).map_or(0.0, |found| found.share());
             assert!(share < 0.02, "{bit}: {share}");
         }
+    }
+
+    #[test]
+    fn held_poses_are_found_beside_slow_joints_with_noisy_coarse_encoders() {
+        const BIT: f64 = 6e-3;
+        let mut joints = read(8, 8, BIT);
+        for column in &mut joints.joints {
+            column.position.iter_mut().zip(0..).for_each(|(q, row)| *q += BIT * f64::from(row % 2));
+        }
+        let held = |rows: i64| {
+            let mut poses = PoseColumns { times: joints.times.clone(), ..PoseColumns::default() };
+            for row in 0..joints.times.len() as i64 {
+                let t = (row / rows * rows) as f64 * 8e-3;
+                poses.xyz.push([0.3 * t.sin(), 0.2 * (1.7 * t).cos(), 0.1 * t]);
+                poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+            }
+            let of_joints = series(0, &joints.times, PartValues::Joints(&joints));
+            let of_poses = series(1, &poses.times, PartValues::Poses(&poses));
+            detect_repeated_values(&[of_joints, of_poses]).pop().map(|found| found.share())
+        };
+        assert_eq!(held(1), None);
+        let share = held(6).expect("repeated poses");
+        assert!((share - 5.0 / 6.0).abs() < 0.02, "{share}");
     }
 }

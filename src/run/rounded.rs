@@ -45,41 +45,51 @@ const MIN_TICK_S: f64 = 2e-4;
 pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
     let mut known: HashMap<Vec<i64>, (usize, RestoredStamps)> = HashMap::new();
-    for (index, stream) in streams.iter_mut().enumerate() {
+    for index in 0..streams.len() {
+        let stream = &streams[index];
         let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
-        let Some(columns) = stream.columns.as_mut().filter(|_| is_of_use) else { continue };
-        for piece in 0..columns.times().len() {
-            let times = columns.times()[piece];
-            let column = clock_of_rows(times, clock);
-            let raw = times.nanos_on(column);
-            let restored = match known.get(raw) {
-                Some(restored) => restored.clone(),
-                None => {
-                    let Some(restored) = values_of(columns, piece)
-                        .and_then(|values| RestoredStamps::restore(raw, &values))
-                    else {
-                        continue;
-                    };
-                    let restored = (known.len(), restored);
-                    known.insert(raw.to_vec(), restored.clone());
-                    restored
-                }
-            };
-            let (group, RestoredStamps { nanos, tick_s, shared, resolution_s }) = restored;
-            if let Some(times) = columns.times_mut().into_iter().nth(piece) {
-                times.restamp(column, nanos);
+        let Some(columns) = stream.columns.as_ref().filter(|_| is_of_use) else { continue };
+        for (piece, times) in columns.times().into_iter().enumerate() {
+            let raw = times.nanos_on(clock_of_rows(times, clock));
+            if let Some((group, restored)) = known.get(raw) {
+                found.push(restored.report((index, piece), *group));
+                continue;
             }
-            found.push(RoundedStamps {
-                stream: index,
-                piece,
-                tick_s,
-                shared_rows: shared,
-                resolution_s,
-                group,
-            });
+            let restored = values_of(columns, piece)
+                .and_then(|values| RestoredStamps::restore(raw, &values))
+                .filter(|_| !are_copies_of_even_joints(raw, index, streams, clock));
+            if let Some(restored) = restored {
+                let group = known.len();
+                found.push(restored.report((index, piece), group));
+                known.insert(raw.to_vec(), (group, restored));
+            }
+        }
+    }
+    let mut by_group: Vec<(usize, RestoredStamps)> = known.into_values().collect();
+    by_group.sort_by_key(|(group, _)| *group);
+    for RoundedStamps { stream, piece, group, .. } in &found {
+        let columns = streams[*stream].columns.as_mut();
+        if let Some(times) = columns.and_then(|columns| columns.times_mut().into_iter().nth(*piece))
+        {
+            times.restamp(clock_of_rows(times, clock), by_group[*group].1.nanos.clone());
         }
     }
     found
+}
+
+/// Whether the stamps of a stream are those of some joint states, such as every second or third, whose own are even.
+fn are_copies_of_even_joints(raw: &[i64], of: usize, streams: &[Stream], clock: Clock) -> bool {
+    streams.iter().enumerate().filter(|(index, _)| *index != of).any(|(_, stream)| {
+        let Some(columns @ Columns::Joints(joints)) = &stream.columns else { return false };
+        let own = joints.times.nanos_on(clock_of_rows(&joints.times, clock));
+        let copies = raw.iter().filter(|nanos| own.binary_search(nanos).is_ok()).count();
+        let is_rounded = || {
+            let restored =
+                values_of(columns, 0).map(|values| RestoredStamps::restore(own, &values));
+            restored.flatten().is_some()
+        };
+        10 * copies >= 9 * raw.len() && !is_rounded()
+    })
 }
 
 /// Clock of the rows: log time without header stamps.
@@ -109,6 +119,11 @@ struct RestoredStamps {
 }
 
 impl RestoredStamps {
+    fn report(&self, (stream, piece): (usize, usize), group: usize) -> RoundedStamps {
+        let Self { tick_s, shared, resolution_s, .. } = *self;
+        RoundedStamps { stream, piece, tick_s, shared_rows: shared, resolution_s, group }
+    }
+
     /// `None` unless the stamps are multiples of a tick that hides times.
     fn restore(raw: &[i64], values: &PartValues<'_>) -> Option<Self> {
         /// Minimum share of rows with the previous stamp but new values.

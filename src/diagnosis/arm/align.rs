@@ -65,6 +65,7 @@ pub(super) fn align(
         aligned.fk.push(fk);
         aligned.corrected.push(correction.apply(&decoded_pose));
         aligned.fk_at_truth.push(truth);
+        aligned.q_at_truth.extend_from_slice(truth_sweep.q());
     }
     aligned
 }

@@ -1,10 +1,18 @@
-//! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame and the latency.
+//! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame, the latency and
+//! the links.
+//!
+//! No arm is exactly its model, so changes of a frame or the latency are tested beside constant deviations of the
+//! links, which have a prior.
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::solver::linear::Linear;
+use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
+use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
+use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::robot::{Chain, JointKind};
+use nalgebra::DVector;
 use std::ops::Range;
 
 /// One of a stream's frames.
@@ -24,31 +32,104 @@ impl Frame {
             Self::Tool => 6..12,
         }
     }
+
+    pub const fn translation(self) -> Range<usize> {
+        let Range { start, .. } = self.columns();
+        start..start + 3
+    }
+
+    pub const fn rotation(self) -> Range<usize> {
+        let Range { start, end } = self.columns();
+        start + 3..end
+    }
+
+    /// Of some of its columns.
+    pub fn of(columns: &Range<usize>) -> Option<Self> {
+        Self::BOTH.into_iter().find(|frame| frame.columns().contains(&columns.start))
+    }
 }
 
 /// Column of the latency, followed by the skew.
 pub(super) const LATENCY: usize = 12;
-/// Number of columns of constant causes.
-pub(super) const CONSTANT: usize = LATENCY + 2;
+/// Number of columns of constant causes besides the links.
+const CAUSES: usize = LATENCY + 2;
+/// Variable column of the first joint's zero. Those before are constant columns.
+pub(super) const ZEROS: usize = LATENCY + 1;
+
+/// Columns with a factor at each time: frames and latency as the constant ones, then joint zeros.
+pub(super) struct VariableColumns<'a> {
+    pub columns: Range<usize>,
+    pub factor: &'a dyn Fn(f64) -> f64,
+}
 
 pub(super) struct FrameColumns<'a> {
     pub aligned: &'a AlignedSamples,
+    chain: &'a Chain,
+    /// Links before the last, whose deviation is a tool, and joints before the last, whose zero is one.
+    links: usize,
+    /// Of those joints, in the frames of their links.
+    axes: Vec<Vec3>,
     has_rotation: bool,
     /// The reference turns about it, in the base.
     pub centre: Vec3,
 }
 
 impl<'a> FrameColumns<'a> {
-    pub fn new(diagnosis: &'a PoseDiagnosis) -> Self {
+    pub fn new(diagnosis: &'a PoseDiagnosis, chain: &'a Chain) -> Self {
         let aligned = &diagnosis.aligned;
         let sum: Vec3 = aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).sum();
         let centre = sum / aligned.fk_at_truth.len().max(1) as f64;
-        Self { aligned, has_rotation: diagnosis.encoding.is_ok(), centre }
+        let has_links = !chain.is_floating() && !aligned.q_at_truth.is_empty();
+        let links = if has_links { chain.dof().saturating_sub(1) } else { 0 };
+        let axes = chain.joint_axes();
+        Self { aligned, chain, links, axes, has_rotation: diagnosis.encoding.is_ok(), centre }
     }
 
-    /// Rows of up to about 4000 samples.
+    /// Number of variable columns.
+    pub fn variable(&self) -> usize {
+        ZEROS + self.links
+    }
+
+    /// Derivatives by the variable columns, from those by the constant ones in a row.
+    pub fn variable_row(&self, row: &[f64]) -> DVector<f64> {
+        DVector::from_fn(self.variable(), |column, _| match column.checked_sub(ZEROS) {
+            None => row[column],
+            Some(joint) => {
+                let is_rotary = self.chain.joint_kinds()[joint] != JointKind::Prismatic;
+                let first = CAUSES + 6 * joint + if is_rotary { 3 } else { 0 };
+                self.axes[joint].iter().zip(&row[first..]).map(|(axis, value)| axis * value).sum()
+            }
+        })
+    }
+
+    /// Number of columns of constant causes.
+    pub fn constant(&self) -> usize {
+        CAUSES + 6 * self.links
+    }
+
+    /// Normal equations of a linearisation, with the prior on the links.
+    pub fn normal_equations(&self, linear: &Linear, weights: &[Weight]) -> Normal {
+        let all: Vec<usize> = (0..linear.width).collect();
+        let mut normal = Normal::zeros(linear.width);
+        linear.accumulate(weights, &all, &mut normal);
+        for column in CAUSES..self.constant() {
+            normal.matrix[(column, column)] += self.prior_precision(column);
+        }
+        normal
+    }
+
+    /// Of a constant column. 0 if it is free.
+    pub fn prior_precision(&self, column: usize) -> f64 {
+        match column.checked_sub(CAUSES).map(|parameter| parameter % 6) {
+            None => 0.0,
+            Some(0..3) => LINK_PRIOR_M.powi(-2),
+            Some(_) => LINK_PRIOR_RAD.powi(-2),
+        }
+    }
+
+    /// Rows of up to about 2000 samples.
     pub fn samples(&self) -> impl Iterator<Item = usize> + '_ {
-        const MAX_SAMPLES: usize = 4000;
+        const MAX_SAMPLES: usize = 2000;
         let all = self.aligned.t_s.len();
         (0..all).step_by(all.div_ceil(MAX_SAMPLES).max(1))
     }
@@ -74,26 +155,25 @@ impl<'a> FrameColumns<'a> {
         [moved, turned].map(|change| change / interval_s)
     }
 
-    /// Residuals in m and rad, and their derivatives: `width` columns, the first [`CONSTANT`] for constant causes.
-    /// `more` gives the columns that are repeated behind them, and their factor at a time.
-    pub fn linearize(
-        &self,
-        width: usize,
-        more: impl Fn(f64) -> Option<(Range<usize>, f64)>,
-    ) -> Linear {
+    /// Residuals in m and rad, and their derivatives by the constant causes, then by these variable ones.
+    pub fn linearize(&self, variable: &[VariableColumns]) -> Linear {
+        let constant = self.constant();
+        let width = constant + variable.iter().map(|own| own.columns.len()).sum::<usize>();
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
         let identity = Pose::identity();
         let mask = |vector: Vec3| if self.has_rotation { vector } else { Vec3::zeros() };
+        let mut frames = Vec::new();
         for row in self.samples() {
             let (fk, is) = (&self.aligned.fk_at_truth[row], &self.aligned.corrected[row]);
             let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
             let shift = is.translation.vector - fk.translation.vector;
             let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
-            let about_centre = pose((fk.translation.vector - self.centre).into(), fk.rotation);
+            let tip = fk.translation.vector;
+            let about_centre = pose((tip - self.centre).into(), fk.rotation);
             let jacobian = PoseJacobian::new(&[], &identity, &about_centre, &identity);
             let late = self.velocity(row).map(|part| -part);
             let part = self.part(self.aligned.t_s[row]);
-            let derivatives: [Derivative; CONSTANT] = std::array::from_fn(|column| match column {
+            let derivatives: [Derivative; CAUSES] = std::array::from_fn(|column| match column {
                 0..6 => jacobian.reference(column),
                 6..LATENCY => jacobian.tool(column - 6),
                 LATENCY => late,
@@ -104,12 +184,65 @@ impl<'a> FrameColumns<'a> {
                 rows.set(1, column, mask(angular).into());
             };
             derivatives.iter().enumerate().for_each(|(column, own)| set(column, *own));
-            if let Some((columns, factor)) = more(self.aligned.t_s[row]) {
-                for (at, column) in columns.enumerate() {
-                    set(CONSTANT + at, derivatives[column].map(|vector| vector * factor));
+            if self.links > 0 {
+                let dof = self.chain.dof();
+                let q = &self.aligned.q_at_truth[row * dof..(row + 1) * dof];
+                self.chain.joint_frames(q, &mut frames);
+            }
+            for (link, frame) in frames.iter().take(self.links).enumerate() {
+                for axis in 0..3 {
+                    let unit = frame.rotation * Vec3::ith(axis, 1.0);
+                    let lever = unit.cross(&(tip - frame.translation.vector));
+                    set(CAUSES + 6 * link + axis, [unit, Vec3::zeros()]);
+                    set(CAUSES + 6 * link + 3 + axis, [lever, unit]);
                 }
             }
         }
+        self.add_variable(&mut linear, variable);
         linear
+    }
+
+    /// Appends variable columns.
+    fn add_variable(&self, linear: &mut Linear, variable: &[VariableColumns]) {
+        let rows: Vec<usize> = self.samples().collect();
+        for (sample, row) in rows.into_iter().enumerate() {
+            let t_s = self.aligned.t_s[row];
+            for axis in 0..6 {
+                let derivatives = self.variable_row(linear.row(sample, axis));
+                let mut at = self.constant();
+                for VariableColumns { columns, factor } in variable {
+                    for column in columns.clone() {
+                        linear.set(sample, axis, at, factor(t_s) * derivatives[column]);
+                        at += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Weights from the noise within tenths of the run, whose means further changes may explain.
+    pub fn local_weights(&self, linear: &Linear) -> Vec<Weight> {
+        let fit = self.fit(linear, &linear.first_weights());
+        let residuals = linear.residuals_after(fit.as_slice());
+        linear.weights_of(residuals.iter().map(|kind| minus_segment_means(kind)).collect())
+    }
+
+    /// Whether constant causes and link deviations leave a residual beyond the noise.
+    pub fn has_unexplained_residual(&self) -> bool {
+        let (linear, fit) = self.constant_fit();
+        let residuals = linear.residuals_after(fit.as_slice());
+        exceeds_noise(&residuals) || has_slow_means(residuals)
+    }
+
+    pub fn constant_fit(&self) -> (Linear, DVector<f64>) {
+        let linear = self.linearize(&[]);
+        let fit = self.fit(&linear, &linear.first_weights());
+        let fit = self.fit(&linear, &linear.weights_after(fit.as_slice()));
+        (linear, fit)
+    }
+
+    pub fn fit(&self, linear: &Linear, weights: &[Weight]) -> DVector<f64> {
+        let all: Vec<usize> = (0..linear.width).collect();
+        self.normal_equations(linear, weights).step(&DVector::zeros(linear.width), &all)
     }
 }

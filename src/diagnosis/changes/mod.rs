@@ -8,8 +8,8 @@
 
 mod change_points;
 mod constant_frames;
-mod drift;
 mod encoding_changes;
+mod frame_changes;
 mod frame_columns;
 mod jumps;
 mod report;
@@ -39,11 +39,19 @@ pub use change_points::{
     ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
 };
 pub(super) use constant_frames::constant_frames_suffice;
-pub(super) use drift::diagnose_with_drift;
 use encoding_changes::is_same_encoding;
+pub(super) use frame_changes::diagnose_with_frame_changes;
+use frame_columns::FrameColumns;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use split_run::{Span, SplitRun, set_velocity};
-use step_test::likeliest_step;
+use step_test::{has_unusual_zero, likeliest_change};
+
+/// Whether usual link deviations and constant frames explain the residual of a stream.
+pub(super) fn is_explained_by_links(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
+    let columns = FrameColumns::new(diagnosis, stream.chain);
+    let is_far = diagnosis.residual.is_err() || diagnosis.is_far_from_fk();
+    !is_far && !columns.has_unexplained_residual() && !has_unusual_zero(&columns)
+}
 
 /// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
@@ -63,7 +71,11 @@ pub(super) fn diagnose_with_changes(
     let ArmRun { joints, streams, max_lag_s, .. } = *arm;
     let jumps = jumps_in_joints(joints);
     let likeliest_steps = || -> Vec<(usize, Jump)> {
-        let step = |s: usize| Some((s, likeliest_step(&diagnosis.streams[s])?));
+        let step = |s: usize| {
+            let columns = FrameColumns::new(&diagnosis.streams[s], streams[s].chain);
+            let linear = columns.linearize(&[]);
+            Some((s, likeliest_change(&columns, &linear, &columns.local_weights(&linear))?.step?))
+        };
         (0..streams.len()).filter_map(step).collect()
     };
     // Link deviations look like small steps.

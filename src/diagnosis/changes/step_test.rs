@@ -1,138 +1,210 @@
-//! Score test for a step of a frame or the latency at any time: finds steps within the noise, which no single sample
-//! shows.
+//! Score test for a change of a frame, the latency or a joint zero, beside constant causes and link deviations.
+//!
+//! The gain of a step at each sample comes from one linearisation (sup-F test: Andrews, *Tests for parameter
+//! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
+//! for its time.
 
-use super::frame_columns::{CONSTANT, Frame, FrameColumns, LATENCY};
+use super::frame_columns::{Frame, FrameColumns, LATENCY, ZEROS};
 use super::jumps::Jump;
-use crate::PoseDiagnosis;
 use crate::priors::price;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
-use crate::solver::linear::{Linear, Normal, Weight};
-use nalgebra::{DVector, SMatrix, SVector};
+use crate::solver::linear::{Linear, Weight};
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
-type Matrix = SMatrix<f64, CONSTANT, CONSTANT>;
-type Vector = SVector<f64, CONSTANT>;
-
-/// Columns that may step together.
-const CAUSES: [Range<usize>; 3] =
-    [Frame::Reference.columns(), Frame::Tool.columns(), LATENCY..LATENCY + 1];
-/// Columns of constant causes and of a frame's step.
-const MAX_WIDTH: usize = CONSTANT + 6;
-
-/// Sums over the samples before each sample, and over all.
-struct PrefixSums {
-    matrix: Vec<Matrix>,
-    right: Vec<Vector>,
+/// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, and a joint
+/// zero. The reference turns about the middle of the motion, so a rotation alone is no cause.
+fn causes(columns: &FrameColumns) -> Vec<Range<usize>> {
+    let (reference, tool) = (Frame::Reference, Frame::Tool);
+    let frames = [
+        reference.translation(),
+        reference.columns(),
+        tool.translation(),
+        tool.rotation(),
+        tool.columns(),
+    ];
+    let zeros = (ZEROS..columns.variable()).map(|column| column..column + 1);
+    let latency = std::iter::once(LATENCY..LATENCY + 1);
+    frames.into_iter().chain(latency).chain(zeros).collect()
 }
 
-impl PrefixSums {
-    fn new(linear: &Linear, weights: &[Weight]) -> Self {
-        let (mut matrix, mut right) = (vec![Matrix::zeros()], vec![Vector::zeros()]);
-        for sample in 0..linear.len() {
-            let (mut squares, mut products) = (Matrix::zeros(), Vector::zeros());
-            for row in 0..6 {
-                let derivatives = Vector::from_column_slice(linear.row(sample, row));
-                let weight = weights[row / 3].component(sample);
-                squares.ger(weight, &derivatives, &derivatives, 1.0);
-                products.axpy(weight * linear.residual(sample, row), &derivatives, 1.0);
-            }
-            matrix.push(matrix[sample] + squares);
-            right.push(right[sample] + products);
-        }
-        Self { matrix, right }
+/// The likeliest change of a stream.
+pub(super) struct Change {
+    /// `None` for a drift over the run.
+    pub step: Option<Jump>,
+    /// Variable columns.
+    pub columns: Range<usize>,
+    /// Reduction of the cost beyond constant causes, minus the price of the change.
+    pub score: f64,
+}
+
+struct ScoreTest<'a> {
+    columns: &'a FrameColumns<'a>,
+    causes: Vec<Range<usize>>,
+    linear: &'a Linear,
+    weights: &'a [Weight],
+    /// Inverse of the constant causes' normal matrix.
+    inverse: DMatrix<f64>,
+    /// Their step.
+    constant: DVector<f64>,
+    price: f64,
+}
+
+/// Sums over samples of the variable columns with a factor: products with the constant columns, with each other, and
+/// with the residual.
+struct Sums {
+    constant: DMatrix<f64>,
+    square: DMatrix<f64>,
+    right: DVector<f64>,
+}
+
+/// Index among the causes, sample, gain and score.
+type Candidate = (usize, usize, f64, f64);
+
+impl<'a> ScoreTest<'a> {
+    fn new(columns: &'a FrameColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
+        let normal = columns.normal_equations(linear, weights);
+        let inverse = ridged(normal.matrix).cholesky()?.inverse();
+        let constant = &inverse * normal.right;
+        let (causes, price) = (causes(columns), price(normal.independent));
+        Some(Self { columns, causes, linear, weights, inverse, constant, price })
     }
 
-    /// Reduction of the cost by a step of `columns` before `sample`, in excess of constant causes.
-    fn gain(&self, sample: usize, columns: &Range<usize>) -> f64 {
-        let last = self.matrix.len() - 1;
-        let (all, later) = (&self.matrix[last], self.matrix[last] - self.matrix[sample]);
-        let later_right = self.right[last] - self.right[sample];
-        let mut matrix = SMatrix::<f64, MAX_WIDTH, MAX_WIDTH>::zeros();
-        let mut right = SVector::<f64, MAX_WIDTH>::zeros();
-        matrix.fixed_view_mut::<CONSTANT, CONSTANT>(0, 0).copy_from(all);
-        right.fixed_rows_mut::<CONSTANT>(0).copy_from(&self.right[last]);
-        for (at, column) in (CONSTANT..).zip(columns.clone()) {
-            for other in 0..CONSTANT {
-                let product = later[(other, column)];
-                (matrix[(other, at)], matrix[(at, other)]) = (product, product);
-            }
-            for (other_at, other) in (CONSTANT..).zip(columns.clone()) {
-                matrix[(at, other_at)] = later[(column, other)];
-            }
-            right[at] = later_right[column];
+    fn empty(&self) -> Sums {
+        let variable = self.columns.variable();
+        Sums {
+            constant: DMatrix::zeros(variable, self.linear.width),
+            square: DMatrix::zeros(variable, variable),
+            right: DVector::zeros(variable),
         }
-        explained(matrix, right) - explained(*all, self.right[last])
+    }
+
+    fn add(&self, sample: usize, factor: f64, sums: &mut Sums) {
+        for row in 0..6 {
+            let derivatives = DVector::from_column_slice(self.linear.row(sample, row));
+            let variable = self.columns.variable_row(self.linear.row(sample, row)) * factor;
+            let weight = self.weights[row / 3].component(sample);
+            sums.constant.ger(weight, &variable, &derivatives, 1.0);
+            sums.square.ger(weight, &variable, &variable, 1.0);
+            sums.right.axpy(weight * self.linear.residual(sample, row), &variable, 1.0);
+        }
+    }
+
+    /// Reduction of the cost by each cause.
+    fn gains(&self, Sums { constant, square, right }: &Sums) -> Vec<f64> {
+        // The share that constant causes do not explain.
+        let matrix = square - constant * &self.inverse * constant.transpose();
+        let right = right - constant * &self.constant;
+        let gain = |cause: &Range<usize>| {
+            let own = matrix.view((cause.start, cause.start), (cause.len(), cause.len()));
+            let right = right.rows(cause.start, cause.len()).into_owned();
+            let solved = ridged(own.into_owned()).cholesky().map(|own| own.solve(&right));
+            solved.map_or(0.0, |solved| right.dot(&solved))
+        };
+        self.causes.iter().map(gain).collect()
+    }
+
+    /// Of steps of each cause at each of these samples.
+    fn gains_of_steps(&self, samples: &[usize]) -> Vec<Vec<f64>> {
+        let (mut later, mut end) = (self.empty(), self.linear.len());
+        let gains = samples.iter().rev().map(|&from| {
+            (from..end).for_each(|sample| self.add(sample, 1.0, &mut later));
+            end = from;
+            self.gains(&later)
+        });
+        let mut gains: Vec<_> = gains.collect();
+        gains.reverse();
+        gains
+    }
+
+    fn likeliest_step(&self, samples: &[usize]) -> Option<Candidate> {
+        let all = samples.iter().zip(self.gains_of_steps(samples)).flat_map(|(&sample, gains)| {
+            let scored = gains.into_iter().enumerate();
+            // The time is a parameter, too.
+            scored.map(move |(of, gain)| {
+                (of, sample, gain, gain - self.price * (self.causes[of].len() + 1) as f64)
+            })
+        });
+        all.max_by(|a, b| a.3.total_cmp(&b.3))
+    }
+
+    /// Cause with the highest score, with a factor of each sample.
+    fn likeliest(&self, factor: impl Fn(usize) -> f64) -> Option<Change> {
+        let mut sums = self.empty();
+        (0..self.linear.len()).for_each(|sample| self.add(sample, factor(sample), &mut sums));
+        let scored = self.gains(&sums).into_iter().zip(&self.causes).map(|(gain, columns)| {
+            let score = gain - self.price * columns.len() as f64;
+            Change { step: None, columns: columns.clone(), score }
+        });
+        scored.max_by(|a, b| a.score.total_cmp(&b.score))
     }
 }
 
-/// Reduction of the cost by the best step in parameters. Unobservable directions count little.
-fn explained<const N: usize>(mut matrix: SMatrix<f64, N, N>, right: SVector<f64, N>) -> f64 {
+/// Unobservable directions count little.
+fn ridged(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     const RIDGE: f64 = 1e-9;
-    let scale = matrix.diagonal();
-    for i in 0..N {
-        matrix[(i, i)] += RIDGE * scale[i] + f64::MIN_POSITIVE;
+    for i in 0..matrix.nrows() {
+        matrix[(i, i)] += RIDGE * matrix[(i, i)].abs() + f64::MIN_POSITIVE;
     }
-    matrix.cholesky().map_or(0.0, |cholesky| right.dot(&cholesky.solve(&right)))
+    matrix
 }
 
-/// The likeliest step of the stream, if the likelihood justifies one. Its strength is relative to the price of its
-/// parameters.
-pub(super) fn likeliest_step(diagnosis: &PoseDiagnosis) -> Option<Jump> {
+/// Whether a constant joint zero is likelier than the link deviations that imitate it.
+pub(super) fn has_unusual_zero(columns: &FrameColumns) -> bool {
+    let (linear, fit) = columns.constant_fit();
+    let weights = linear.weights_after(fit.as_slice());
+    let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
+        test.causes.retain(|cause| cause.start >= ZEROS);
+        test.likeliest(|_| 1.0)
+    });
+    zero.is_some_and(|zero| zero.score > 0.0)
+}
+
+/// The likeliest step or drift of the stream beside the causes of a linearisation, if the likelihood justifies one.
+pub(super) fn likeliest_change(
+    columns: &FrameColumns,
+    linear: &Linear,
+    weights: &[Weight],
+) -> Option<Change> {
+    let test = ScoreTest::new(columns, linear, weights)?;
+    let rows: Vec<usize> = columns.samples().collect();
+    let drift = test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]]));
+    // A latency that drifts is a skew.
+    let drift = drift.filter(|drift| drift.columns.start != LATENCY);
+    let step = likeliest_step(&test, &rows);
+    let all = drift.into_iter().chain(step).filter(|change| change.score > 0.0);
+    all.max_by(|a, b| a.score.total_cmp(&b.score))
+}
+
+/// The strength of a step is relative to the price of its parameters.
+fn likeliest_step(test: &ScoreTest, rows: &[usize]) -> Option<Change> {
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
-    let columns = FrameColumns::new(diagnosis);
-    let rows: Vec<usize> = columns.samples().collect();
-    if rows.len() < 2 * MIN_SEGMENT_SAMPLES {
-        return None;
+    /// Between the samples tested first.
+    const STRIDE: usize = 4;
+    let last = rows.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
+    let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
+    let t_s = |sample: usize| test.columns.aligned.t_s[rows[sample]];
+    let (_, near, ..) = test.likeliest_step(&candidates)?;
+    let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
+        .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
+        .collect();
+    let (of, sample, gain, score) = test.likeliest_step(&around)?;
+    let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
+    let mut likely: Vec<usize> = Vec::new();
+    for tested in [candidates, around] {
+        let gains = test.gains_of_steps(&tested);
+        likely.extend(tested.iter().zip(gains).filter(|it| is_likely(&it.1)).map(|it| *it.0));
     }
-    let candidates = MIN_SEGMENT_SAMPLES..rows.len() - MIN_SEGMENT_SAMPLES;
-    let best = |sums: &PrefixSums, price: f64| {
-        // The time is a parameter, too.
-        let score = |sample: usize, step: Range<usize>| {
-            let score = sums.gain(sample, &step) - price * (step.len() + 1) as f64;
-            (score, sample, step)
-        };
-        let of = |sample: usize| CAUSES.map(|step| score(sample, step));
-        candidates.clone().flat_map(of).max_by(|a, b| a.0.total_cmp(&b.0))
-    };
-    let constant = columns.linearize(CONSTANT, |_| None);
-    let normal_equations = |linear: &Linear, weights: &[Weight]| {
-        let all: Vec<usize> = (0..linear.width).collect();
-        let mut normal = Normal::zeros(linear.width);
-        linear.accumulate(weights, &all, &mut normal);
-        normal
-    };
-    let weights = constant.first_weights();
-    let price_of =
-        |linear: &Linear, weights: &[Weight]| price(normal_equations(linear, weights).independent);
-    let (_, sample, step) =
-        best(&PrefixSums::new(&constant, &weights), price_of(&constant, &weights))?;
-    // The noise without that step.
-    let at_s = columns.aligned.t_s[rows[sample]];
-    let with_step = columns.linearize(CONSTANT + step.len(), |t_s| {
-        Some((step.clone(), if t_s < at_s { 0.0 } else { 1.0 }))
-    });
-    let all: Vec<usize> = (0..with_step.width).collect();
-    let fit = normal_equations(&with_step, &with_step.first_weights())
-        .step(&DVector::zeros(with_step.width), &all);
-    let weights = with_step.weights_after(fit.as_slice());
-    let price = price_of(&with_step, &weights);
-    let sums = PrefixSums::new(&constant, &weights);
-    let (score, sample, step) = best(&sums, price)?;
-    if score < 0.0 {
-        return None;
-    }
-    let gain = sums.gain(sample, &step);
-    let is_likely = |at: &usize| sums.gain(*at, &step) > gain - 2.0 * TIME_TOLERANCE;
-    let first = candidates.clone().take_while(|&at| at < sample).find(is_likely).unwrap_or(sample);
-    let last = candidates.rev().take_while(|&at| at > sample).find(is_likely).unwrap_or(sample);
-    let t_s = |sample: usize| columns.aligned.t_s[rows[sample]];
-    Some(Jump {
+    let (first, last) = (likely.iter().min()?, likely.iter().max()?);
+    let columns = test.causes[of].clone();
+    let step = Jump {
         at_s: 0.5 * (t_s(sample - 1) + t_s(sample)),
-        within_s: 0.5 * (t_s(last) - t_s(first - 1)),
-        strength: gain / (price * (step.len() + 1) as f64),
+        within_s: 0.5 * (t_s(*last) - t_s(first - 1)),
+        strength: gain / (test.price * (columns.len() + 1) as f64),
         window_s: 0.0,
-    })
+    };
+    Some(Change { step: Some(step), columns, score })
 }
 
 #[cfg(test)]
@@ -164,7 +236,10 @@ mod tests {
         let orientation = Orientations::Rotations(rotations);
         let track = PoseTrack { t_s, xyz, orientation, declared: None };
         let stream = test_motion::tip_stream(&track, &chain);
-        likeliest_step(&diagnose_arm(&joints, &[stream], 1.0).streams[0])
+        let diagnosis = diagnose_arm(&joints, &[stream], 1.0);
+        let columns = FrameColumns::new(&diagnosis.streams[0], &chain);
+        let linear = columns.linearize(&[]);
+        likeliest_change(&columns, &linear, &columns.local_weights(&linear))?.step
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! Latency profile of a stream over the run: steady, in steps, or wandering.
+//! Latency profile of a stream over the run: steady, in steps, a ramp, with load, or wandering.
 //!
-//! An additional latency of δ shifts the corrected stream against FK by −δ times its velocity. In each
-//! window, position and rotation residuals are fitted jointly by `c − δ·v`. The constant `c` absorbs model
-//! error, which changes slowly with the configuration.
+//! An additional latency L shifts the corrected stream against FK by −L times its velocity. In each window, position
+//! and rotation residuals are fitted jointly by `c − L·v`. The constant `c` absorbs model error, which changes slowly
+//! with the configuration. The likeliest shape of L wins ([`shapes`]).
 
 mod shapes;
 
@@ -28,28 +28,9 @@ mod windows;
 use crate::samples::sampling::monotonic_rows;
 use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use shapes::{
-    THREE_SEGMENT_PARAMETERS, fit_load_dependence, fit_piecewise_linear, levels_at, piecewise_chi2,
-    residual_after,
-};
-use windows::{LatencyWindow, NormalizedSample, chi2_of_line, levels, samples, splits, windows};
-
-const WINDOW_S: f64 = 1.0;
-const MIN_WINDOW_SAMPLES: usize = 10;
-const MIN_WINDOWS: usize = 4;
-/// Windows with larger standard errors, relative to the typical one, are ignored. The second value applies
-/// after compensating a gradual latency estimated from speeds alone.
-const MAX_STD_ERROR_RATIO: [f64; 2] = [5.0, 100.0];
-const MAX_STEPS: usize = 4;
-/// Per latency step, in units of the remaining χ² per window.
-const MIN_CHI2_GAIN: f64 = 40.0;
-/// For a significant swing.
-const MIN_STD_ERRORS: f64 = 6.0;
-/// A simpler profile is preferred if it explains all but this fraction of what the best one does. The
-/// second value applies after compensating a gradual latency.
-const MAX_EXTRA_RESIDUAL: [f64; 2] = [0.03, 0.002];
-/// χ² per window of an unsteady latency.
-const MIN_UNSTEADY_CHI2: f64 = 9.0;
+use ground::stats::median;
+use shapes::{Basis, Fit, likeliest_shape};
+use windows::{NormalizedSample, Window, effective_count, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,6 +81,12 @@ pub struct LatencyStep {
     pub size_s: Measured,
 }
 
+/// Size of the largest step.
+fn largest(steps: &[LatencyStep]) -> Option<Measured> {
+    let size = |step: &&LatencyStep| step.size_s.value.abs();
+    Some(steps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s)
+}
+
 impl LatencyProfile {
     /// Profile with steps between `levels`. `None` without a step.
     pub(crate) fn from_steps(
@@ -107,16 +94,79 @@ impl LatencyProfile {
         levels: Vec<(f64, f64)>,
         windows: Vec<(f64, Measured)>,
     ) -> Option<Self> {
-        let size = |jump: &LatencyStep| jump.size_s.value.abs();
-        let swing_s = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s;
         Some(Self {
-            swing_s,
+            swing_s: largest(&jumps)?,
             is_unsteady: true,
             shape: LatencyShape::Steps,
             steps: jumps,
             levels,
             windows,
         })
+    }
+
+    fn from_fit(fit: &Fit, windows: &[Window]) -> Self {
+        let (levels_s, covariance) = (&fit.levels_s, fit.covariance());
+        // Sizes are differences of levels.
+        let size_s = |from: usize, to: usize| {
+            let variance =
+                covariance[(from, from)] + covariance[(to, to)] - 2.0 * covariance[(from, to)];
+            let value = levels_s[to] - levels_s[from];
+            Measured { value, std_error: variance.sqrt(), dof: windows.len() as f64 }
+        };
+        let profile = |shape, swing_s, levels| Self {
+            swing_s,
+            is_unsteady: true,
+            shape,
+            steps: Vec::new(),
+            levels,
+            windows: measured(windows),
+        };
+        let knots = |times_s: &[f64]| -> Vec<(f64, f64)> {
+            times_s.iter().copied().zip(levels_s.iter().copied()).collect()
+        };
+        match &fit.basis {
+            Basis::Line(_) => steady_profile(windows),
+            Basis::Steps(times_s) => {
+                let step =
+                    |(at, &at_s): (usize, &f64)| LatencyStep { at_s, size_s: size_s(at, at + 1) };
+                let steps: Vec<LatencyStep> = times_s.iter().enumerate().map(step).collect();
+                let swing_s = largest(&steps).unwrap_or(size_s(0, 0));
+                let starts_s = std::iter::once(f64::NEG_INFINITY).chain(times_s.iter().copied());
+                let levels = starts_s.zip(levels_s.iter().copied()).collect();
+                Self { steps, ..profile(LatencyShape::Steps, swing_s, levels) }
+            }
+            Basis::Knots(times_s) => match times_s.as_slice() {
+                &[from_s, to_s] => {
+                    let levels = [
+                        (windows[0].t_s.min(from_s), levels_s[0]),
+                        (from_s, levels_s[0]),
+                        (to_s, levels_s[1]),
+                        (windows[windows.len() - 1].t_s.max(to_s), levels_s[1]),
+                    ];
+                    let mut levels = levels.to_vec();
+                    levels.dedup();
+                    profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
+                }
+                times_s => {
+                    let swing_s = size_s(levels_s.imin(), levels_s.imax());
+                    profile(LatencyShape::Wander, swing_s, knots(times_s))
+                }
+            },
+            Basis::Load(load, _) => {
+                let (min, max) = load
+                    .iter()
+                    .fold((f64::MAX, f64::MIN), |(min, max), &load| (load.min(min), load.max(max)));
+                let slope = Measured {
+                    value: levels_s[1],
+                    std_error: covariance[(1, 1)].sqrt(),
+                    dof: windows.len() as f64,
+                };
+                let bins = windows.iter().flat_map(|window| &window.bins);
+                let levels =
+                    bins.zip(load).map(|(bin, load)| (bin.t_s, levels_s[0] + levels_s[1] * load));
+                profile(LatencyShape::WithLoad, slope.scaled(max - min), levels.collect())
+            }
+        }
     }
 
     /// Adds steps that were estimated after compensating those of this profile. They refine steps at the same time.
@@ -171,51 +221,44 @@ impl LatencyProfile {
         self
     }
 
-    /// Adds the profile that remains after compensating this one. Not for steps.
+    /// Adds the latency that remains after compensating this profile.
     pub(crate) fn combined_with(mut self, rest: &Self) -> Self {
-        let added: Option<Vec<f64>> = match self.shape {
-            LatencyShape::WithLoad if rest.shape == self.shape && rest.is_unsteady => {
-                Some(self.levels.iter().map(|(t_s, _)| rest.relative_s(*t_s)).collect())
-            }
-            LatencyShape::Ramp { .. } | LatencyShape::Wander => {
-                let knots: Vec<f64> = self.levels.iter().map(|(t_s, _)| *t_s).collect();
-                levels_at(&knots, &rest.windows)
-            }
-            _ => None,
+        let times_s = || self.levels.iter().map(|(t_s, _)| *t_s).collect();
+        let basis = match self.shape {
+            LatencyShape::Steps => Basis::Steps(self.steps.iter().map(|step| step.at_s).collect()),
+            LatencyShape::Ramp { from_s, to_s } => Basis::Knots(vec![from_s, to_s]),
+            LatencyShape::Wander => Basis::Knots(times_s()),
+            LatencyShape::Steady | LatencyShape::WithLoad => return self.combined_with_load(rest),
         };
-        let Some(added) = added else { return self };
-        let sign = self.swing_s.value.signum();
-        self.levels.iter_mut().zip(added).for_each(|((_, level_s), added_s)| *level_s += added_s);
-        let levels = || self.levels.iter().map(|level| level.1);
-        let (min_s, max_s) = (levels().fold(f64::MAX, f64::min), levels().fold(f64::MIN, f64::max));
-        let std_error = match self.shape {
-            LatencyShape::WithLoad => rest.swing_s.std_error,
-            _ => self.swing_s.std_error,
+        let window = |&(t_s, latency_s): &(f64, Measured)| Window::from_measured(t_s, latency_s);
+        let windows: Vec<Window> = rest.windows.iter().map(window).collect();
+        let Some(fit) = Fit::new(&windows, basis) else { return self };
+        let added = Self::from_fit(&fit, &windows);
+        let sum = |a: Measured, b: Measured| Measured { value: a.value + b.value, ..b };
+        self.levels.iter_mut().for_each(|(t_s, level_s)| *level_s += added.relative_s(*t_s));
+        for (step, added) in self.steps.iter_mut().zip(&added.steps) {
+            step.size_s = sum(step.size_s, added.size_s);
+        }
+        self.swing_s = match self.shape {
+            LatencyShape::Steps => largest(&self.steps).unwrap_or(self.swing_s),
+            LatencyShape::Ramp { .. } => sum(self.swing_s, added.swing_s),
+            _ => Measured { value: self.range_s(), ..self.swing_s },
         };
-        let range = Measured { value: sign * (max_s - min_s), std_error, ..self.swing_s };
-        self.swing_s = self.between_levels(rest).unwrap_or(range);
         self
     }
 
-    /// Size of a ramp from the levels before and after it, which are more accurate than its ends.
-    fn between_levels(&self, rest: &Self) -> Option<Measured> {
-        let LatencyShape::Ramp { from_s, to_s } = self.shape else { return None };
-        let level = |is_on_side: &dyn Fn(f64) -> bool| {
-            let windows = rest.windows.iter().filter(|(t_s, _)| is_on_side(*t_s));
-            let levels: Vec<(f64, Measured)> = windows
-                .map(|(t_s, rest)| {
-                    (*t_s, Measured { value: rest.value + self.relative_s(*t_s), ..*rest })
-                })
-                .collect();
-            mean(levels.iter())
-        };
-        let before = level(&|t_s| t_s < from_s - 0.5 * WINDOW_S)?;
-        let after = level(&|t_s| t_s > to_s + 0.5 * WINDOW_S)?;
-        Some(Measured {
-            value: after.value - before.value,
-            std_error: before.std_error.hypot(after.std_error),
-            dof: before.dof + after.dof,
-        })
+    fn combined_with_load(mut self, rest: &Self) -> Self {
+        if self.shape == LatencyShape::WithLoad && rest.shape == self.shape && rest.is_unsteady {
+            self.levels.iter_mut().for_each(|(t_s, level_s)| *level_s += rest.relative_s(*t_s));
+            let value = self.swing_s.value.signum() * self.range_s();
+            self.swing_s = Measured { value, ..rest.swing_s };
+        }
+        self
+    }
+
+    fn range_s(&self) -> f64 {
+        let levels = || self.levels.iter().map(|level| level.1);
+        levels().fold(f64::MIN, f64::max) - levels().fold(f64::MAX, f64::min)
     }
 
     /// Number of parameters without the constant.
@@ -278,100 +321,41 @@ pub(crate) fn fit_profile(
     skew: f64,
     removed_ramp: Option<&LatencyRamp>,
 ) -> EstimateResult<LatencyProfile> {
-    let mut samples = samples(latency_samples);
+    const MIN_WINDOWS: f64 = 4.0;
+    let mut samples = normalized(latency_samples);
     if let Some(ramp) = removed_ramp {
         samples.iter_mut().for_each(|sample| sample.t_s = ramp.logged_s(sample.t_s));
     }
-    let mut windows = windows(&samples, 3 * kinds);
-    let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
-    errors.sort_by(f64::total_cmp);
-    let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(NotObservable::AtRest) };
-    let max_std_error_s = MAX_STD_ERROR_RATIO[usize::from(removed_ramp.is_some())] * typical_s;
-    windows.retain(|window| window.std_error_s < max_std_error_s);
-    if windows.len() < MIN_WINDOWS {
-        return Err(NotObservable::NotExcited);
-    }
-    let middle_s = 0.5 * (windows[0].t_s + windows[windows.len() - 1].t_s);
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return Err(NotObservable::AtRest);
+    };
+    let middle_s = 0.5 * (first.t_s + last.t_s);
     let removed_s =
         |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.lag_s(t_s));
-    for window in &mut windows {
-        window.delta_s += removed_s(window.t_s);
+    let windows = windows(&samples, 3 * kinds, removed_s);
+    if windows.is_empty() {
+        return Err(NotObservable::AtRest);
     }
-    // Linear growth is skew, reported separately.
-    let line_chi2 = chi2_of_line(&windows);
-    let free = (windows.len() - 2) as f64;
-    let measured_windows: Vec<(f64, Measured)> =
-        windows.iter().map(|w| (w.t_s, w.measured())).collect();
-    let load_dependence = if removed_ramp.is_none() { fit_load_dependence(&samples) } else { None };
-    // A ramp resembles a line, and its deviation is small relative to window errors, so test for it
-    // explicitly.
-    let is_piecewise = piecewise_chi2(&windows).is_some_and(|piecewise| {
-        let dof = (windows.len() as f64 - THREE_SEGMENT_PARAMETERS).max(1.0);
-        line_chi2 - piecewise > MIN_CHI2_GAIN * (piecewise / dof).max(1.0)
-    });
-    if line_chi2 <= MIN_UNSTEADY_CHI2 * free && !is_piecewise && load_dependence.is_none() {
-        return Ok(LatencyProfile {
-            windows: measured_windows,
-            ..constant_profile(&windows, typical_s)
-        });
+    if effective_count(&windows) < MIN_WINDOWS {
+        return Err(NotObservable::NotExcited);
     }
-    let splits = splits(&windows);
-    let jumps = || stepped_profile(&samples, &windows, &splits, &removed_s);
-    let without_removed: Vec<NormalizedSample> = samples
-        .iter()
-        .map(|sample| {
-            let removed_s = removed_s(sample.t_s);
-            let residual =
-                std::array::from_fn(|i| sample.residual[i] - removed_s * sample.velocity[i]);
-            NormalizedSample { residual, ..*sample }
-        })
-        .collect();
-    // A rise within one window is a step.
-    let is_ramp = |profile: &LatencyProfile| match profile.shape {
-        LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
-        _ => false,
+    let Some(fit) = likeliest_shape(&windows) else { return Err(NotObservable::NotExcited) };
+    let profile = LatencyProfile::from_fit(&fit, &windows);
+    if !profile.is_unsteady {
+        return Ok(profile);
+    }
+    // Latency that remains in the samples, without and with the profile.
+    let mean_s = mean(profile.windows.iter()).map_or(0.0, |mean| mean.value);
+    let without_s = |t_s: f64| match removed_ramp {
+        Some(_) => mean_s - removed_s(t_s),
+        None => 0.0,
     };
-    // A piecewise linear fit exaggerates small variations.
-    let piecewise_linear = fit_piecewise_linear(&windows, &without_removed)
-        .filter(|profile| removed_ramp.is_some() || is_ramp(profile));
-    // Latency that remains in `samples`. The load-dependent profile was fitted to them; the others include
-    // the compensated part.
-    let remaining_s = |profile: &LatencyProfile, t_s: f64| match profile.shape {
-        LatencyShape::WithLoad => profile.relative_s(t_s),
+    let with_s = |t_s: f64| match fit.basis {
+        Basis::Load(..) => profile.relative_s(t_s),
         _ => profile.relative_s(t_s) - removed_s(t_s),
     };
-    // In order of complexity.
-    let fits = [
-        load_dependence,
-        (splits.len() == 1).then(jumps),
-        piecewise_linear,
-        (splits.len() > 1).then(jumps),
-        Some(wandering_profile(&windows)),
-    ];
-    let fits: Vec<(f64, LatencyProfile)> = fits
-        .into_iter()
-        .flatten()
-        .map(|profile| {
-            (residual_after(&samples, |row| remaining_s(&profile, samples[row].t_s)), profile)
-        })
-        .collect();
-    let noise = 3.0 * samples.len() as f64;
-    let min_residual = fits.iter().map(|(dof, _)| *dof).fold(f64::INFINITY, f64::min);
-    let level_s = levels(&windows, &[]).0[0].value;
-    let constant = residual_after(&samples, |row| level_s - removed_s(samples[row].t_s));
-    // Linearisation leaves a second-order residual that no simple profile explains.
-    let extra_share = MAX_EXTRA_RESIDUAL[usize::from(removed_ramp.is_some())];
-    let max_residual =
-        min_residual + extra_share * (constant - min_residual).max(0.0) + 0.02 * noise;
-    let Some((_, profile)) = fits.into_iter().find(|(dof, _)| *dof <= max_residual) else {
-        return Err(NotObservable::NotExcited);
-    };
-    // With many windows, noise alone has a range.
-    let is_significant = profile.swing_s.value.abs() > MIN_STD_ERRORS * profile.swing_s.std_error;
-    let without_s = |t_s: f64| if removed_ramp.is_some() { level_s - removed_s(t_s) } else { 0.0 };
-    let is_unsteady =
-        is_significant && explains_residual(&samples, without_s, |t_s| remaining_s(&profile, t_s));
-    Ok(LatencyProfile { is_unsteady, windows: measured_windows, ..profile })
+    let is_unsteady = explains_residual(&samples, without_s, with_s);
+    Ok(LatencyProfile { is_unsteady, ..profile })
 }
 
 /// Whether replacing latency `without_s` by `with_s` explains most of the excess residual without
@@ -426,86 +410,34 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
     .collect()
 }
 
-fn constant_profile(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile {
-    let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
-    let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
-    let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
-    let scatter = (scatter.sum::<f64>() / windows.len() as f64).max(0.0).sqrt();
+fn steady_profile(windows: &[Window]) -> LatencyProfile {
+    let measured = measured(windows);
+    let count = measured.len().max(1) as f64;
+    let mean_s = mean(measured.iter()).map_or(0.0, |mean| mean.value);
+    let excess = measured.iter().map(|(_, w)| (w.value - mean_s).powi(2) - w.std_error.powi(2));
     // Inflate the error by excess scatter (Birge 1932).
-    let std_error = typical_s.hypot(scatter);
+    let scatter = (excess.sum::<f64>() / count).max(0.0).sqrt();
+    let std_error = typical_std_error_s(windows).hypot(scatter);
     LatencyProfile {
-        swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
+        swing_s: Measured { value: scatter, std_error, dof: count },
         is_unsteady: false,
         shape: LatencyShape::Steady,
         steps: Vec::new(),
         levels: Vec::new(),
-        windows: Vec::new(),
+        windows: measured,
     }
 }
 
-fn wandering_profile(windows: &[LatencyWindow]) -> LatencyProfile {
-    let by = |a: &&LatencyWindow, b: &&LatencyWindow| a.delta_s.total_cmp(&b.delta_s);
-    let (low, high) = (windows.iter().min_by(by), windows.iter().max_by(by));
-    let swing = low.zip(high).map_or((0.0, 0.0), |(low, high)| {
-        (high.delta_s - low.delta_s, high.std_error_s.hypot(low.std_error_s))
-    });
-    LatencyProfile {
-        swing_s: Measured { value: swing.0, std_error: swing.1, dof: windows.len() as f64 },
-        is_unsteady: true,
-        shape: LatencyShape::Wander,
-        steps: Vec::new(),
-        levels: windows.iter().map(|window| (window.t_s, window.delta_s)).collect(),
-        windows: Vec::new(),
-    }
+/// Windows in which the latency is about as certain as usual.
+fn measured(windows: &[Window]) -> Vec<(f64, Measured)> {
+    /// Relative to the typical standard error.
+    const MAX_STD_ERROR_RATIO: f64 = 5.0;
+    let max_s = MAX_STD_ERROR_RATIO * typical_std_error_s(windows);
+    let certain = windows.iter().filter(|window| window.latency_s.std_error < max_s);
+    certain.map(|window| (window.t_s, window.latency_s)).collect()
 }
 
-fn stepped_profile(
-    samples: &[NormalizedSample],
-    windows: &[LatencyWindow],
-    splits: &[usize],
-    removed_s: &impl Fn(f64) -> f64,
-) -> LatencyProfile {
-    let (measured, _) = levels(windows, splits);
-    let mut levels = vec![(f64::NEG_INFINITY, measured[0].value)];
-    let mut jumps = Vec::new();
-    for (&split, pair) in splits.iter().zip(measured.windows(2)) {
-        let [before, after] = [pair[0], pair[1]];
-        let around = (windows[split - 1].t_s - WINDOW_S, windows[split].t_s + WINDOW_S);
-        let inside: Vec<&NormalizedSample> =
-            samples.iter().filter(|sample| (around.0..around.1).contains(&sample.t_s)).collect();
-        let residual_at = |sample: &NormalizedSample, level: f64| {
-            let delta_s = level - removed_s(sample.t_s);
-            let components = sample.residual.iter().zip(&sample.velocity);
-            components
-                .map(|(residual_at, velocity)| (residual_at + delta_s * velocity).powi(2))
-                .sum::<f64>()
-        };
-        // Change of the squared residual as the step moves past each sample.
-        let mut sum = 0.0;
-        let (mut min_sum, mut at_s) = (0.0, around.0);
-        for sample in inside {
-            sum += residual_at(sample, before.value) - residual_at(sample, after.value);
-            if sum < min_sum {
-                (min_sum, at_s) = (sum, sample.t_s);
-            }
-        }
-        levels.push((at_s, after.value));
-        let size_s = Measured {
-            value: after.value - before.value,
-            std_error: before.std_error.hypot(after.std_error),
-            dof: before.dof,
-        };
-        jumps.push(LatencyStep { at_s, size_s });
-    }
-    levels.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let largest = jumps.iter().max_by(|a, b| a.size_s.value.abs().total_cmp(&b.size_s.value.abs()));
-    let swing_s = largest.map_or(measured[0], |jump| jump.size_s);
-    LatencyProfile {
-        swing_s,
-        is_unsteady: true,
-        shape: LatencyShape::Steps,
-        steps: jumps,
-        levels,
-        windows: Vec::new(),
-    }
+fn typical_std_error_s(windows: &[Window]) -> f64 {
+    let mut errors: Vec<f64> = windows.iter().map(|window| window.latency_s.std_error).collect();
+    median(&mut errors).unwrap_or(0.0)
 }

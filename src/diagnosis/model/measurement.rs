@@ -263,6 +263,11 @@ impl PredictionBuffers {
             jacobian: vec![[0.0; 6]; dof],
         }
     }
+
+    /// Joint positions of the last prediction, in chain order.
+    pub fn q(&self) -> &[f64] {
+        &self.q
+    }
 }
 
 /// Prediction of one sample with its derivatives.

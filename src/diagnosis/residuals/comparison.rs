@@ -10,12 +10,13 @@ use ground::stream::{JointTrack, Orientations};
 
 /// Of a segment of the run.
 pub(crate) const MIN_SEGMENT_SAMPLES: usize = 20;
+/// Of a residual beyond the noise.
+const MIN_NOISE_RATIO: f64 = 2.0;
 /// Upper bound for a healthy stream.
 const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
 
 /// Whether a stream's residual exceeds its noise in some segment.
 pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
-    const MIN_NOISE_RATIO: f64 = 2.0;
     let aligned = &diagnosis.aligned;
     let does_not_follow = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
     if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
@@ -60,28 +61,53 @@ pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
 
 /// Whether the residual exceeds the noise, or its mean in some segment does.
 pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
-    const SEGMENTS: usize = 10;
+    has_large_residual(diagnosis) || has_slow_means(residual_vectors(&diagnosis.aligned))
+}
+
+/// Whether residuals, m and rad, are larger than a healthy stream's and than their sample-to-sample noise.
+pub(crate) fn exceeds_noise(residuals: &[Vec<[f64; 3]>]) -> bool {
+    let mean_square = |vectors: &mut dyn Iterator<Item = Vec3>| {
+        let (sum, count) =
+            vectors.fold((0.0, 0_usize), |(sum, count), v| (sum + v.norm_squared(), count + 1));
+        sum / count.max(1) as f64
+    };
+    let exceeds = |(residuals, healthy): (&Vec<[f64; 3]>, f64)| {
+        let rms = mean_square(&mut residuals.iter().map(|v| Vec3::from(*v))).sqrt();
+        let steps = residuals.windows(2).map(|pair| Vec3::from(pair[1]) - Vec3::from(pair[0]));
+        let noise = (0.5 * mean_square(&mut steps.into_iter())).sqrt();
+        rms > healthy.max(MIN_NOISE_RATIO * noise)
+    };
+    residuals.iter().zip(HEALTHY_RESIDUAL_M_RAD).any(exceeds)
+}
+
+/// Whether the mean of residuals, m and rad, exceeds the noise in some segment.
+pub(crate) fn has_slow_means(residuals: impl IntoIterator<Item = Vec<[f64; 3]>>) -> bool {
     /// For a significant mean.
     const MIN_STD_ERRORS: f64 = 6.0;
-    if has_large_residual(diagnosis) {
-        return true;
-    }
     let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
-        let parts: Vec<&[[f64; 3]]> =
-            residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
-        let minus_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
-            let mean = mean(part);
-            part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
-        };
-        let beside: Vec<[f64; 3]> = parts.iter().flat_map(minus_mean).collect();
+        let beside = minus_segment_means(&residuals);
         let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
-        parts.iter().any(|part| {
+        segments(&residuals).any(|part| {
             let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
             mean(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())
         })
     };
     let floors = [(FLOOR_M, HEALTHY_RESIDUAL_M_RAD[0]), (FLOOR_RAD, HEALTHY_RESIDUAL_M_RAD[1])];
-    residual_vectors(&diagnosis.aligned).into_iter().zip(floors).any(is_slow)
+    residuals.into_iter().zip(floors).any(is_slow)
+}
+
+fn segments(residuals: &[[f64; 3]]) -> impl Iterator<Item = &[[f64; 3]]> {
+    const SEGMENTS: usize = 10;
+    residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES))
+}
+
+/// Residuals minus their means in segments of the run.
+pub(crate) fn minus_segment_means(residuals: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let minus_mean = |part: &[[f64; 3]]| -> Vec<[f64; 3]> {
+        let mean = mean(part);
+        part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
+    };
+    segments(residuals).flat_map(minus_mean).collect()
 }
 
 fn mean(vectors: &[[f64; 3]]) -> Vec3 {

@@ -15,6 +15,7 @@ use crate::samples::sampling::rest_speeds;
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::stats::median;
 use ground::stream::{JointTrack, Orientations};
 
 /// Defines the size of an error.
@@ -303,7 +304,9 @@ impl<'a> ErrorSeries<'a> {
             let at = self.location_of_largest(error, rows, amount.quantile_95);
             Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, magnitude: amount })
         };
-        ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
+        let mut parts: Vec<PartError> = parts.filter_map(part).collect();
+        limit_noise(&mut parts);
+        ErrorSize { whole: self.magnitude(error, rows), parts }
     }
 
     /// Mean tip position over samples with at least the error `max_size`.
@@ -344,6 +347,20 @@ impl<'a> ErrorSeries<'a> {
             has_enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
         });
         noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
+    }
+}
+
+/// Limits the noise of each part by that of the others: an error that leaps within a part is no noise.
+fn limit_noise(parts: &mut [PartError]) {
+    /// To the median. Noise that grows with speed differs between parts.
+    const MAX_NOISE_RATIO: f64 = 3.0;
+    let noises = parts.iter().filter_map(|part| Some(part.magnitude.noise?.quantile_95));
+    let Some(median) = median(&mut noises.collect::<Vec<f64>>()) else { return };
+    for noise in parts.iter_mut().filter_map(|part| part.magnitude.noise.as_mut()) {
+        let share = (MAX_NOISE_RATIO * median / noise.quantile_95).min(1.0);
+        if share.is_finite() {
+            (noise.rms, noise.quantile_95) = (share * noise.rms, share * noise.quantile_95);
+        }
     }
 }
 

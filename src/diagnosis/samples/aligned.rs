@@ -16,6 +16,9 @@ pub struct AlignedSamples {
     /// `reference_from_tip` from FK of corrected joints at the time of measurement. Comparable with
     /// `corrected`.
     pub fk_at_truth: Vec<Pose>,
+    /// Corrected joint positions at the time of measurement, in chain order: as many per sample as the chain has
+    /// joints. Empty if unknown.
+    pub q_at_truth: Vec<f64>,
 }
 
 /// Distances between pairs of poses, one entry per pair.

@@ -20,7 +20,7 @@ use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::{
     ABSENT_RADIAL_SCALE_PRIOR, FREE_PRIOR, LINK_PRIOR_M, MAX_LOG_RATIO_OF_CONFOUNDER,
-    MIN_LOG_RATIO_OF_ZERO, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+    MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
 use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
@@ -92,6 +92,49 @@ pub(crate) fn estimate_link_deviations(
         (offsets, chosen) = (next, Some(fit));
     }
     None
+}
+
+/// Standard errors of joint zeros, including the effect of link deviations that may hide in the noise. `columns` are
+/// those of the zeros in the joint track; an entry is `None` if its joint is not in the chain. The size of the
+/// deviations is averaged over its posterior.
+pub(crate) fn std_errors_of_zeros(
+    observations: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+    columns: &[usize],
+) -> Vec<Option<f64>> {
+    /// Log-normal prior of the size, m.
+    const TYPICAL_M: f64 = MODEL_ERROR_M;
+    const LOG_SCATTER: f64 = 1.0;
+    /// An exact arm has deviations far below the noise.
+    const MIN_SIZE_M: f64 = 1e-8;
+    const GRID_RATIO: f64 = 2.0;
+    let none = vec![None; columns.len()];
+    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
+        return none;
+    };
+    let joint_of = |column: &usize| observations.columns.iter().position(|own| own == column);
+    let joints: Vec<Option<usize>> = columns.iter().map(joint_of).collect();
+    let zeros: Vec<usize> = joints.iter().copied().flatten().collect();
+    let sizes_m = std::iter::successors(Some(MIN_SIZE_M), |size_m| Some(GRID_RATIO * size_m));
+    let fits = sizes_m.take_while(|size_m| *size_m < DEVIATION_GRID_M.1).filter_map(|size_m| {
+        let fit = model.fit(&zeros, &model.uniform_sizes(size_m))?;
+        let unlike = (size_m / TYPICAL_M).ln() / LOG_SCATTER;
+        Some((0.5 * (fit.evidence - unlike * unlike), fit))
+    });
+    let fits: Vec<(f64, DeviationFit)> = fits.collect();
+    let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
+    let std_error = |joint: Option<usize>| {
+        let (mut total, mut sum) = (0.0, 0.0);
+        for (log_likelihood, fit) in &fits {
+            let weight = (log_likelihood - likeliest).exp();
+            total += weight;
+            sum += weight * model.measured_zero(fit, joint?)?.std_error.powi(2);
+        }
+        (total > 0.0).then(|| (sum / total).sqrt())
+    };
+    joints.into_iter().map(std_error).collect()
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -454,9 +497,12 @@ impl DeviationModel {
             let as_likely = instead.into_iter().filter(|(_, fit_with_zero)| {
                 fit_with_zero.evidence > fit.evidence - MAX_LOG_RATIO_OF_CONFOUNDER
             });
+            // An insignificant zero replaces nothing: the scatter of all zeros explains the residual.
             let confounder = |(other, fit_with_zero): (usize, DeviationFit)| {
-                let (column, zero) = absolute(other, self.measured_zero(&fit_with_zero, other)?);
-                Some(Confounder::JointZero(column, zero.value))
+                let zero = self.measured_zero(&fit_with_zero, other)?;
+                let is_significant = zero.value.abs() > zero.half_width(0.95);
+                let (column, zero) = absolute(other, zero);
+                is_significant.then_some(Confounder::JointZero(column, zero.value))
             };
             (observations.columns[joint], as_likely.filter_map(confounder).collect())
         };

@@ -113,6 +113,12 @@ impl Linear {
         self.floor.len()
     }
 
+    /// Sets a derivative of one row of a sample.
+    pub fn set(&mut self, sample: usize, row: usize, column: usize, derivative: f64) {
+        let start = (sample * 3 * self.kinds() + row) * self.width;
+        self.design[start + column] = derivative;
+    }
+
     /// Derivatives of one row of a sample.
     pub fn row(&self, sample: usize, row: usize) -> &[f64] {
         let start = (sample * 3 * self.kinds() + row) * self.width;
@@ -175,11 +181,16 @@ impl Linear {
 
     /// Weights from the residuals after a step.
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
+        self.weights_of(self.residuals_after(step))
+    }
+
+    /// Weights from residuals of the samples.
+    pub fn weights_of(&self, residuals: Vec<Vec<[f64; 3]>>) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
             let robust = huber(&residual, floor);
             Weight { noise: Noise::estimate(&residual, &robust, floor), robust }
         };
-        self.residuals_after(step).into_iter().zip(&self.floor).map(of_kind).collect()
+        residuals.into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
     /// Row `row` of every sample, and its transpose.

@@ -155,9 +155,12 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
         if !is_table || row.len() > MAX_COLUMNS {
             return None;
         }
-        // pandas writes arrays with a header of column indices.
+        // pandas writes arrays with a header of column indices, after an empty cell above its index.
+        let columns =
+            if row.first().is_some_and(|cell| cell.is_empty()) { &row[1..] } else { &row[..] };
         let counts = |first: usize| {
-            row.iter().enumerate().all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
+            let mut cells = columns.iter().enumerate();
+            cells.all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
         };
         if (counts(0) || counts(1)) && above.is_empty() && all.peek().is_some() {
             continue;

@@ -44,12 +44,13 @@ fn a_latency_step_is_estimated_with_time_and_size() {
         );
         let profile = profile.expect("a profile");
         let [jump] = profile.steps.as_slice() else { panic!("{profile:?}") };
-        assert!((jump.size_s.value - size_s).abs() < 1e-3, "{jump:?}");
+        // Linear in the latency.
+        assert!((jump.size_s.value - size_s).abs() < 0.05 * size_s.abs(), "{jump:?}");
         assert!((jump.at_s - at_s).abs() < 0.2, "{jump:?}");
         let t_s = [1.0, 2.0, 18.0, 19.0];
         let straight = profile.compensated(&t_s);
         let apart = (straight[2].1 - straight[1].1) - (18.0 - 2.0);
-        assert!((apart + size_s).abs() < 1e-3, "{straight:?}");
+        assert!((apart + size_s).abs() < 0.05 * size_s.abs(), "{straight:?}");
     }
 }
 

@@ -1,37 +1,222 @@
-//! Latency in windows of about a second.
+//! Samples as sums over windows of about a second, and over short bins within.
 
-use super::{LatencySample, MAX_STEPS, MIN_CHI2_GAIN, MIN_WINDOW_SAMPLES, WINDOW_S};
+use super::LatencySample;
 use ground::geometry::Vec3;
 use ground::stats::Measured;
+use nalgebra::{DMatrix, DVector};
 
-#[derive(Clone, Copy)]
-pub(super) struct LatencyWindow {
-    pub(super) t_s: f64,
-    pub(super) delta_s: f64,
-    pub(super) std_error_s: f64,
-}
+/// The residual has a free constant in each window.
+const WINDOW_S: f64 = 1.0;
+/// The latency is constant in a bin, so this is also the resolution of its times.
+pub(super) const BIN_S: f64 = 0.05;
 
-impl LatencyWindow {
-    pub(super) fn weight(&self) -> f64 {
-        self.std_error_s.powi(-2)
-    }
-
-    pub(super) fn measured(&self) -> Measured {
-        Measured { value: self.delta_s, std_error: self.std_error_s, dof: f64::INFINITY }
-    }
-}
-
-/// Sample in units of the noise of each kind.
+/// Sample in units of the noise of each kind. Components of a missing kind are zero.
 #[derive(Clone, Copy)]
 pub(super) struct NormalizedSample {
-    pub(super) t_s: f64,
-    pub(super) residual: [f64; 6],
-    pub(super) velocity: [f64; 6],
-    pub(super) loads: [f64; 2],
-    pub(super) joint_noise: f64,
+    pub t_s: f64,
+    pub residual: [f64; 6],
+    pub velocity: [f64; 6],
+    pub loads: [f64; 2],
+    pub joint_noise: f64,
 }
 
-pub(super) fn samples(latency_samples: &[LatencySample]) -> Vec<NormalizedSample> {
+/// Levels that contribute to a latency, with their factors. Those of factor 0 do not.
+pub(super) type Terms = [(usize, f64); 3];
+
+/// Sums over the samples of a bin.
+pub(super) struct Bin {
+    /// Mean stamp.
+    pub t_s: f64,
+    /// Of its first sample.
+    pub loads: [f64; 2],
+    pub velocity: [f64; 6],
+    pub squared_velocity: f64,
+    /// Of velocity and residual.
+    pub product: f64,
+}
+
+/// Sums over the samples of a window. Residuals are those before any compensation of the latency.
+pub(super) struct Window {
+    pub t_s: f64,
+    pub latency_s: Measured,
+    /// Variances of the samples' noise per variance of independent noise.
+    scale: f64,
+    samples: f64,
+    residual: [f64; 6],
+    squared_residual: f64,
+    /// With the best constant latency beyond the compensated one.
+    constant_square: f64,
+    pub bins: Vec<Bin>,
+}
+
+impl Window {
+    /// Squared residual with these latencies of its bins beyond that with a constant one, in units of the noise.
+    pub fn excess(&self, latencies_s: impl Iterator<Item = f64>) -> f64 {
+        let (mut square, mut sum) = (self.squared_residual, self.residual);
+        for (bin, latency_s) in self.bins.iter().zip(latencies_s) {
+            square += latency_s * (2.0 * bin.product + latency_s * bin.squared_velocity);
+            add(&mut sum, &bin.velocity, latency_s);
+        }
+        self.scale * (square - dot(&sum, &sum) / self.samples - self.constant_square)
+    }
+
+    /// Adds the normal equations of the levels of a latency. `terms` are a bin's levels with their factors.
+    pub fn accumulate(
+        &self,
+        terms: impl Fn(usize, f64) -> Terms,
+        matrix: &mut DMatrix<f64>,
+        right: &mut DVector<f64>,
+        velocities: &mut [[f64; 6]],
+    ) {
+        let (mut first, mut last) = (usize::MAX, 0);
+        for (at, bin) in self.bins.iter().enumerate() {
+            let terms = terms(at, bin.t_s);
+            let terms = || terms.into_iter().filter(|term| term.1 != 0.0);
+            for (row, a) in terms() {
+                (first, last) = (first.min(row), last.max(row));
+                right[row] -= self.scale * a * bin.product;
+                add(&mut velocities[row], &bin.velocity, a);
+                for (column, b) in terms() {
+                    matrix[(row, column)] += self.scale * a * b * bin.squared_velocity;
+                }
+            }
+        }
+        let share = self.scale / self.samples;
+        for row in first..=last {
+            right[row] += share * dot(&velocities[row], &self.residual);
+            for column in first..=last {
+                matrix[(row, column)] -= share * dot(&velocities[row], &velocities[column]);
+            }
+        }
+        velocities[first..=last].fill([0.0; 6]);
+    }
+
+    /// The same with a constant latency.
+    pub fn as_one_bin(&self) -> Self {
+        Self::from_measured(self.t_s, self.latency_s)
+    }
+
+    /// A window with this latency.
+    pub fn from_measured(t_s: f64, latency_s: Measured) -> Self {
+        let (squared_velocity, value) = (latency_s.std_error.powi(-2), latency_s.value);
+        let product = -value * squared_velocity;
+        let (loads, velocity) = ([0.0; 2], [0.0; 6]);
+        Self {
+            t_s,
+            latency_s,
+            scale: 1.0,
+            samples: 1.0,
+            residual: [0.0; 6],
+            squared_residual: value * value * squared_velocity,
+            constant_square: 0.0,
+            bins: vec![Bin { t_s, loads, velocity, squared_velocity, product }],
+        }
+    }
+
+    /// Slope of residual over velocity. Autocorrelation ρ inflates the variance by (1 + ρ)/(1 − ρ). `None` without
+    /// enough variation of velocity. `compensated_s` is the latency that the residuals do not contain.
+    fn new(
+        samples: &[NormalizedSample],
+        components: usize,
+        compensated_s: impl Fn(f64) -> f64,
+    ) -> Option<Self> {
+        const MIN_SAMPLES: usize = 10;
+        const MAX_AUTOCORRELATION: f64 = 0.98;
+        let n = samples.len() as f64;
+        if samples.len() < MIN_SAMPLES {
+            return None;
+        }
+        let mean = |of: &dyn Fn(&NormalizedSample) -> [f64; 6]| {
+            let mut sum = [0.0; 6];
+            samples.iter().for_each(|sample| add(&mut sum, &of(sample), n.recip()));
+            sum
+        };
+        let (mean_residual, mean_v) = (mean(&|sample| sample.residual), mean(&|s| s.velocity));
+        let centred = |sample: &NormalizedSample| {
+            let residual: [f64; 6] = std::array::from_fn(|i| sample.residual[i] - mean_residual[i]);
+            let velocity: [f64; 6] = std::array::from_fn(|i| sample.velocity[i] - mean_v[i]);
+            (residual, velocity)
+        };
+        let (mut information, mut product) = (0.0, 0.0);
+        for (residual, velocity) in samples.iter().map(centred) {
+            information += dot(&velocity, &velocity);
+            product += dot(&velocity, &residual);
+        }
+        if information <= 0.0 {
+            return None;
+        }
+        let delta_s = -product / information;
+        let rest = samples.iter().map(centred).map(|(residual, velocity)| -> [f64; 6] {
+            std::array::from_fn(|i| residual[i] + delta_s * velocity[i])
+        });
+        let rest: Vec<[f64; 6]> = rest.collect();
+        let constant_square: f64 = rest.iter().map(|rest| dot(rest, rest)).sum();
+        let lagged: f64 = rest.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+        let rho = (lagged / constant_square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
+        // The slope and each component's mean use them up.
+        let free = components * (samples.len() - 1) - 1;
+        let variance = constant_square / free as f64 * (1.0 + rho) / (1.0 - rho);
+        // Stamps rounded to nanoseconds, and positions.
+        let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
+        // Encoder rounding can be biased over a whole window.
+        let rows = components as f64 * n;
+        let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n;
+        let std_error = std_error_s.hypot(joint_noise / (information / rows).sqrt());
+        // Acceleration adds a residual of the second order in the latency.
+        let square = |velocity: &[f64; 6]| dot(velocity, velocity);
+        let accelerations = samples.windows(2).map(|pair| {
+            let mut change = pair[1].velocity;
+            add(&mut change, &pair[0].velocity, -1.0);
+            square(&change) / (pair[1].t_s - pair[0].t_s).powi(2)
+        });
+        let squared_velocity: f64 = samples.iter().map(|sample| square(&sample.velocity)).sum();
+        let rate = (accelerations.sum::<f64>() / squared_velocity).sqrt();
+        let std_error = std_error.hypot(0.5 * rate * delta_s * delta_s);
+        let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n;
+        let value = delta_s + compensated_s(t_s);
+        let (mut residual, mut squared_residual, mut bins) = ([0.0; 6], 0.0, Vec::new());
+        let bin_of = |sample: &NormalizedSample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
+        for own in samples.chunk_by(|a, b| bin_of(a) == bin_of(b)) {
+            let mut bin = Bin {
+                t_s: own.iter().map(|sample| sample.t_s).sum::<f64>() / own.len() as f64,
+                loads: own[0].loads,
+                velocity: [0.0; 6],
+                squared_velocity: 0.0,
+                product: 0.0,
+            };
+            for sample in own {
+                let mut logged = sample.residual;
+                add(&mut logged, &sample.velocity, -compensated_s(sample.t_s));
+                add(&mut residual, &logged, 1.0);
+                squared_residual += dot(&logged, &logged);
+                add(&mut bin.velocity, &sample.velocity, 1.0);
+                bin.squared_velocity += dot(&sample.velocity, &sample.velocity);
+                bin.product += dot(&sample.velocity, &logged);
+            }
+            bins.push(bin);
+        }
+        std_error.is_finite().then_some(Self {
+            t_s,
+            latency_s: Measured { value, std_error, dof: f64::INFINITY },
+            scale: (std_error.powi(2) * information).recip(),
+            samples: n,
+            residual,
+            squared_residual,
+            constant_square,
+            bins,
+        })
+    }
+}
+
+fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn add(sum: &mut [f64; 6], addend: &[f64; 6], factor: f64) {
+    sum.iter_mut().zip(addend).for_each(|(sum, addend)| *sum += factor * addend);
+}
+
+pub(super) fn normalized(latency_samples: &[LatencySample]) -> Vec<NormalizedSample> {
     let noise = [0, 1].map(|kind| {
         let steps =
             latency_samples.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
@@ -51,124 +236,26 @@ pub(super) fn samples(latency_samples: &[LatencySample]) -> Vec<NormalizedSample
     latency_samples.iter().map(sample).collect()
 }
 
-/// Uses windows with enough variation of velocity.
-pub(super) fn windows(samples: &[NormalizedSample], components: usize) -> Vec<LatencyWindow> {
+/// Number of windows, less those with large standard errors.
+pub(super) fn effective_count(windows: &[Window]) -> f64 {
+    let certainty = |window: &Window| window.latency_s.std_error.recip();
+    let sum: f64 = windows.iter().map(certainty).sum();
+    let squares: f64 = windows.iter().map(|window| certainty(window).powi(2)).sum();
+    if squares > 0.0 { sum * sum / squares } else { 0.0 }
+}
+
+pub(super) fn windows(
+    samples: &[NormalizedSample],
+    components: usize,
+    compensated_s: impl Fn(f64) -> f64,
+) -> Vec<Window> {
     let mut windows = Vec::new();
     let mut rest = samples;
     while let Some(first) = rest.first() {
         let length = rest.partition_point(|sample| sample.t_s < first.t_s + WINDOW_S);
         let (own, after) = rest.split_at(length.max(1));
-        windows.extend(window(own, components));
+        windows.extend(Window::new(own, components, &compensated_s));
         rest = after;
     }
     windows
-}
-
-/// Slope of residual over velocity. Autocorrelation ρ inflates the variance by (1 + ρ)/(1 − ρ).
-pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<LatencyWindow> {
-    const MAX_AUTOCORRELATION: f64 = 0.98;
-    let n = samples.len();
-    if n < MIN_WINDOW_SAMPLES {
-        return None;
-    }
-    let mean = |of: &dyn Fn(&NormalizedSample) -> [f64; 6]| {
-        let mut sum = [0.0; 6];
-        for sample in samples {
-            sum.iter_mut().zip(of(sample)).for_each(|(sum, value)| *sum += value / n as f64);
-        }
-        sum
-    };
-    let (mean_left, mean_v) = (mean(&|sample| sample.residual), mean(&|sample| sample.velocity));
-    let centred = |sample: &NormalizedSample| {
-        let left: [f64; 6] = std::array::from_fn(|i| sample.residual[i] - mean_left[i]);
-        let velocity: [f64; 6] = std::array::from_fn(|i| sample.velocity[i] - mean_v[i]);
-        (left, velocity)
-    };
-    let dot = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let (mut information, mut product) = (0.0, 0.0);
-    for sample in samples {
-        let (left, velocity) = centred(sample);
-        information += dot(&velocity, &velocity);
-        product += dot(&velocity, &left);
-    }
-    if information <= 0.0 {
-        return None;
-    }
-    let delta_s = -product / information;
-    let left: Vec<[f64; 6]> = samples
-        .iter()
-        .map(|sample| {
-            let (left, velocity) = centred(sample);
-            std::array::from_fn(|i| left[i] + delta_s * velocity[i])
-        })
-        .collect();
-    let square: f64 = left.iter().map(|left| dot(left, left)).sum();
-    let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
-    let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
-    // The slope and each component's mean use them up.
-    let free = components * (n - 1) - 1;
-    let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
-    // Stamps rounded to nanoseconds, and positions.
-    let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
-    // Encoder rounding can be biased over a whole window.
-    let rows = (components * n) as f64;
-    let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n as f64;
-    let std_error_s = std_error_s.hypot(joint_noise / (information / rows).sqrt());
-    let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n as f64;
-    std_error_s.is_finite().then_some(LatencyWindow { t_s, delta_s, std_error_s })
-}
-
-/// χ² relative to the best line.
-pub(super) fn chi2_of_line(windows: &[LatencyWindow]) -> f64 {
-    let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
-    let mean = |of: &dyn Fn(&LatencyWindow) -> f64| {
-        windows.iter().map(|window| window.weight() * of(window)).sum::<f64>() / weight
-    };
-    let (t, delta) = (mean(&|window| window.t_s), mean(&|window| window.delta_s));
-    let spread = mean(&|window| (window.t_s - t).powi(2));
-    let slope =
-        mean(&|window| (window.t_s - t) * (window.delta_s - delta)) / spread.max(f64::MIN_POSITIVE);
-    let deviation = |window: &LatencyWindow| window.delta_s - delta - slope * (window.t_s - t);
-    windows.iter().map(|window| window.weight() * deviation(window).powi(2)).sum()
-}
-
-/// Levels between `splits`, and the total χ².
-pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measured>, f64) {
-    let ends = splits.iter().copied().chain([windows.len()]);
-    let starts = std::iter::once(0).chain(splits.iter().copied());
-    let mut chi2 = 0.0;
-    let levels = starts.zip(ends).map(|(start, end)| {
-        let part = &windows[start..end];
-        let weight: f64 = part.iter().map(LatencyWindow::weight).sum();
-        let level = part.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
-        let own: f64 = part.iter().map(|w| w.weight() * (w.delta_s - level).powi(2)).sum();
-        chi2 += own;
-        let scatter = (own / (part.len().max(2) - 1) as f64).max(1.0);
-        let dof = windows.len() as f64;
-        Measured { value: level, std_error: (scatter / weight).sqrt(), dof }
-    });
-    let levels = levels.collect();
-    (levels, chi2)
-}
-
-/// Positions of latency steps. The window with the step fits neither level and increases the χ² of both.
-pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
-    let mut splits: Vec<usize> = Vec::new();
-    while splits.len() < MAX_STEPS {
-        let before = levels(windows, &splits).1;
-        let with = |split: usize| {
-            let mut with = splits.clone();
-            with.push(split);
-            with.sort_unstable();
-            (levels(windows, &with).1, with)
-        };
-        let free = (1..windows.len()).filter(|split| !splits.contains(split));
-        let Some((after, best)) = free.map(with).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        let left = (windows.len() as f64 - best.len() as f64 - 1.0).max(1.0);
-        if before - after < MIN_CHI2_GAIN * (after / left).max(1.0) {
-            break;
-        }
-        splits = best;
-    }
-    splits
 }
