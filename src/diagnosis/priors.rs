@@ -24,6 +24,8 @@ pub(crate) const MODEL_ERROR_RAD: f64 = RAD_PER_M * MODEL_ERROR_M;
 pub(crate) const FLANGE_PRIOR_M: f64 = 1e-3;
 /// Prior on frames and times that are free without a cause; m, rad or s.
 pub(crate) const FREE_PRIOR: f64 = 0.1;
+/// Prior on a frame that is wrong: 20 mm and 2°.
+pub(crate) const FRAME_PRIOR_M: f64 = 0.02;
 /// Prior on the length of an unknown tool: grippers are 0.1 to 0.3 m long; a TCP beyond 0.5 m is rare.
 pub(crate) const TOOL_PRIOR_M: f64 = 0.2;
 /// Prior on the distance of an unknown marker or tool from the tip. It bounds unobservable directions.

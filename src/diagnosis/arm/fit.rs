@@ -86,11 +86,12 @@ pub(super) fn fit(
         }
     }
     let model = prefer_tool_frames(&observations, model, &candidates, FIT_SAMPLES);
-    let plain: Vec<StreamState> =
-        (0..observations.len()).map(|s| without_small_causes(&model, s)).collect();
-    let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     // Calibrations do not change a zero by more, rad or m.
     let large_offsets = large_zeros(&model.state, corrected, 0.1);
+    let plain: Vec<StreamState> = (0..observations.len())
+        .map(|s| with_significant_frames(&model, (observations[s], s), &large_offsets))
+        .collect();
+    let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
     let is_open = with_offsets && has_links && allows_link_deviations(&model);
     let deviations = if is_open {
@@ -248,6 +249,28 @@ pub(super) fn without_small_causes(model: &SelectedModel, stream: usize) -> Stre
         tool: unless_small(&state.tool),
         ..state.clone()
     }
+}
+
+/// Keeps also the small frames that exceed the effect of link deviations.
+fn with_significant_frames(
+    model: &SelectedModel,
+    (observations, s): (&PoseObservations, usize),
+    offsets: &[f64],
+) -> StreamState {
+    let mut plain = without_small_causes(model, s);
+    let mut frames = small_causes(model, s);
+    frames.retain(|cause| matches!(cause, Cause::Reference(_) | Cause::Tool(_)));
+    if frames.is_empty() || observations.chain.is_floating() {
+        return plain;
+    }
+    for cause in causes_beyond_link_deviations((observations, s), &plain, offsets, &frames) {
+        let state = &model.state.streams[s];
+        match cause {
+            Cause::Reference(_) => plain.reference = state.reference,
+            _ => plain.tool = state.tool,
+        }
+    }
+    plain
 }
 
 fn candidate_causes(

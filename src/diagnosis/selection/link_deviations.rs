@@ -19,8 +19,9 @@ use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::{
-    ABSENT_RADIAL_SCALE_PRIOR, FREE_PRIOR, LINK_PRIOR_M, MAX_LOG_RATIO_OF_CONFOUNDER,
-    MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, LINK_PRIOR_M,
+    MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
+    RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
 use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
@@ -322,7 +323,7 @@ impl DeviationModel {
             .map(|of| match of {
                 DeviationParameter::Unconstrained => FREE_PRIOR.powi(2),
                 DeviationParameter::Deviation { group, unit } => {
-                    let frame = if is_of_frame(*group) { FREE_PRIOR } else { 0.0 };
+                    let frame = if is_of_frame(*group) { FRAME_PRIOR_M * unit } else { 0.0 };
                     (unit * sizes_m[*group]).powi(2) + frame.powi(2)
                 }
                 DeviationParameter::RadialScale => if additional.radial_scale {
