@@ -30,9 +30,10 @@
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
-//! 7. `compliance` and `changes` (change points and drifts) compete to explain a remaining residual. Each corrects
-//!    the run and repeats steps 2 to 6. The likeliest diagnosis wins (`selection::evidence`). A run that
-//!    follows FK as logged only between gaps or jumps of the numbers starts here.
+//! 7. `changes` finds steps and drifts of frames by a score test beside link deviations. `compliance` and change points of
+//!    segments compete to explain what remains. Each corrects the run and repeats steps 2 to 6. The likeliest diagnosis
+//!    wins (`selection::evidence`). A run that follows FK as logged only between gaps or jumps of the numbers starts here.
+//! 8. If some streams are FK of the joint states and the others are not explained, the joints are diagnosed by the others.
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
 //! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.

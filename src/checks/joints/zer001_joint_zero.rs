@@ -37,8 +37,12 @@ rule! {
     ///
     /// If an inaccurate nominal model could explain several causes or the residual, all link deviations are
     /// estimated too, each with its own standard deviation. A zero must then make the log fifty times as
-    /// likely; its interval includes the deviations. `indistinguishable` lists other joints' zeros at least
-    /// a twentieth as likely.
+    /// likely; its interval includes the deviations. `indistinguishable` lists other joints' significant zeros
+    /// at least a twentieth as likely. If the links fit, the interval includes deviations that the noise may
+    /// hide.
+    ///
+    /// A controller's poses are FK of the same encoders. If they agree with the joint states and an external
+    /// stream shows a zero, that stream alone decides.
     ///
     /// With an unexplained residual (MDL001), a zero must move the tip at least 30 times as far. If the
     /// motion cannot locate the tracker's marker, it is never reported.

@@ -1,6 +1,6 @@
-//! Change points: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
+//! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! The run is split where a stream jumps relative to the arm, a joint jumps, or data are missing ([`jumps`]).
+//! Steps and drifts of frames are columns of the residual ([`frame_changes`]). For other changes, the run is split where a stream jumps relative to the arm, a joint jumps, or data are missing ([`jumps`]).
 //! The longest segment, the baseline, is diagnosed alone. The others are corrected by its result and
 //! diagnosed again, so their models contain only the differences (after Chow 1960). Correcting these
 //! differences gives a run in which the baseline's errors persist from start to end; it is diagnosed as a

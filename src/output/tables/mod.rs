@@ -121,6 +121,7 @@ mod tests {
             fk: vec![turned_about_z([0.0; 3], 0.1), turned_about_z([1.0, 2.0, 2.0], 0.2)],
             corrected: vec![turned_about_z([1.0, 1.0, 1.0], 0.0), Pose::identity()],
             fk_at_truth: vec![turned_about_z([1.0, 1.0, 1.5], 0.25), Pose::identity()],
+            q_at_truth: Vec::new(),
         }
     }
 
