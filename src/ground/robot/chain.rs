@@ -356,16 +356,22 @@ impl Chain {
         let between = |[lower, upper]: [f64; 2], part: f64| lower + part * (upper - lower);
         let mut q: Vec<f64> = ranges.iter().map(|&range| between(range, start)).collect();
         let mut best_m = self.reach_m(&q);
-        for joint in (0..SWEEPS).flat_map(|_| 0..ranges.len()) {
-            let mut best_position = q[joint];
-            for index in 0..POSITIONS {
-                q[joint] = between(ranges[joint], index as f64 / (POSITIONS - 1) as f64);
-                let reach_m = self.reach_m(&q);
-                if reach_m > best_m {
-                    (best_m, best_position) = (reach_m, q[joint]);
+        for _ in 0..SWEEPS {
+            let before_m = best_m;
+            for joint in 0..ranges.len() {
+                let mut best_position = q[joint];
+                for index in 0..POSITIONS {
+                    q[joint] = between(ranges[joint], index as f64 / (POSITIONS - 1) as f64);
+                    let reach_m = self.reach_m(&q);
+                    if reach_m > best_m {
+                        (best_m, best_position) = (reach_m, q[joint]);
+                    }
                 }
+                q[joint] = best_position;
             }
-            q[joint] = best_position;
+            if best_m == before_m {
+                break;
+            }
         }
         best_m
     }
