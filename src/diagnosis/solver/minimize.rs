@@ -15,8 +15,8 @@ pub(crate) struct NormalEquations {
     right: DVector<f64>,
     /// `rᵀr`.
     cost: f64,
-    /// Derivatives of one residual.
-    row: Vec<f64>,
+    /// Derivatives of a position or rotation.
+    rows: [Vec<f64>; 3],
 }
 
 impl NormalEquations {
@@ -29,41 +29,50 @@ impl NormalEquations {
         let right = DVector::from_vec(right.into_iter().collect());
         let rows = (0..right.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
         let triangle = rows.map(|(i, j)| matrix(i, j)).collect();
-        Self { triangle, row: vec![0.0; right.len()], right, cost }
+        Self { triangle, rows: Default::default(), right, cost }
     }
 
     /// Equations without residuals.
     pub fn zeros(width: usize) -> Self {
         let triangle = vec![0.0; width * (width + 1) / 2];
-        Self { triangle, right: DVector::zeros(width), cost: 0.0, row: vec![0.0; width] }
+        Self { triangle, right: DVector::zeros(width), cost: 0.0, rows: Default::default() }
     }
 
     /// Adds one residual with its derivatives.
     pub fn add(&mut self, derivatives: &[f64], residual: f64) {
+        self.add_rows([derivatives], [residual]);
+    }
+
+    fn add_rows<const N: usize>(&mut self, rows: [&[f64]; N], residuals: [f64; N]) {
         let mut rest = self.triangle.as_mut_slice();
-        for (i, a) in derivatives.iter().enumerate() {
-            let (row, after) = rest.split_at_mut(i + 1);
+        for i in 0..self.right.len() {
+            let (sums, after) = rest.split_at_mut(i + 1);
             rest = after;
-            if *a != 0.0 {
-                self.right[i] += a * residual;
-                row.iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
+            let own = rows.map(|row| row[i]);
+            if own == [0.0; N] {
+                continue;
+            }
+            let right = &mut self.right[i];
+            *right = (0..N).fold(*right, |sum, n| sum + own[n] * residuals[n]);
+            let rows = rows.map(|row| &row[..sums.len()]);
+            for (j, value) in sums.iter_mut().enumerate() {
+                *value = (0..N).fold(*value, |sum, n| sum + own[n] * rows[n][j]);
             }
         }
-        self.cost += residual * residual;
+        self.cost = residuals.iter().fold(self.cost, |sum, residual| sum + residual * residual);
     }
 
     /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
     pub fn add_pose(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
-        let mut row = std::mem::take(&mut self.row);
+        let mut rows = std::mem::take(&mut self.rows);
         for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
-            for axis in 0..3 {
-                for (value, derivative) in row.iter_mut().zip(derivatives) {
-                    *value = weight * derivative[kind][axis];
-                }
-                self.add(&row, weight * residual[kind][axis]);
+            for (axis, row) in rows.iter_mut().enumerate() {
+                row.clear();
+                row.extend(derivatives.iter().map(|derivative| weight * derivative[kind][axis]));
             }
+            self.add_rows(rows.each_ref().map(Vec::as_slice), (weight * residual[kind]).into());
         }
-        self.row = row;
+        self.rows = rows;
     }
 
     /// Sum of squares.
