@@ -175,6 +175,8 @@ impl ModelFit {
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
+    /// Only [`FitAssumption::Nothing`].
+    Nothing,
     /// Those without a fault.
     Faultless,
     /// Every hypothesis.
@@ -198,6 +200,9 @@ pub fn fit_model(
     };
     let candidates = lag_s.into_iter().filter_map(at_lag);
     let (_, stream_with_fk) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if tried == FitHypotheses::Nothing {
+        return Some(stream_with_fk.fit_under(&[FitAssumption::Nothing]));
+    }
     let mut fit = stream_with_fk.fit();
     if tried == FitHypotheses::Faultless {
         return Some(fit);
@@ -306,10 +311,16 @@ impl<'a> StreamWithFk<'a> {
     }
 
     fn fit(&self) -> ModelFit {
-        let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
-        let assumption =
-            [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
-        let fits = assumption.flat_map(|assumption| self.fits_under(assumption)).collect();
+        self.fit_under(&[
+            FitAssumption::Nothing,
+            FitAssumption::Tool,
+            FitAssumption::HalfTurn { tool: false },
+            FitAssumption::HalfTurn { tool: true },
+        ])
+    }
+
+    fn fit_under(&self, assumptions: &[FitAssumption]) -> ModelFit {
+        let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
         let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
             samples: self.t_s.len(),
