@@ -175,7 +175,7 @@ impl ModelFit {
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
-    /// Only [`FitAssumption::Nothing`].
+    /// Only [`FitAssumption::Nothing`], from zero latency.
     Nothing,
     /// Those without a fault.
     Faultless,
@@ -191,6 +191,10 @@ pub fn fit_model(
     tried: FitHypotheses,
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
+    if tried == FitHypotheses::Nothing {
+        let at_zero = StreamWithFk::new(joints, stream, scale, (0.0, max_lag_s))?;
+        return Some(at_zero.fit_under(&[FitAssumption::Nothing]));
+    }
     let lag_s = candidate_lags(joints, stream, max_lag_s);
     let is_only = lag_s.len() == 1;
     let at_lag = |lag_s| {
@@ -200,9 +204,6 @@ pub fn fit_model(
     };
     let candidates = lag_s.into_iter().filter_map(at_lag);
     let (_, stream_with_fk) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    if tried == FitHypotheses::Nothing {
-        return Some(stream_with_fk.fit_under(&[FitAssumption::Nothing]));
-    }
     let mut fit = stream_with_fk.fit();
     if tried == FitHypotheses::Faultless {
         return Some(fit);

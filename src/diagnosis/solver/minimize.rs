@@ -40,23 +40,31 @@ impl NormalEquations {
 
     /// Adds one residual with its derivatives.
     pub fn add(&mut self, derivatives: &[f64], residual: f64) {
-        self.add_rows([derivatives], [residual]);
+        let mut rest = self.triangle.as_mut_slice();
+        for (i, a) in derivatives.iter().enumerate() {
+            let (row, after) = rest.split_at_mut(i + 1);
+            rest = after;
+            if *a != 0.0 {
+                self.right[i] += a * residual;
+                row.iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
+            }
+        }
+        self.cost += residual * residual;
     }
 
-    fn add_rows<const N: usize>(&mut self, rows: [&[f64]; N], residuals: [f64; N]) {
+    /// Adds three residuals, in one pass over the sums.
+    fn add_three(&mut self, [x, y, z]: [&[f64]; 3], residuals: [f64; 3]) {
         let mut rest = self.triangle.as_mut_slice();
-        for i in 0..self.right.len() {
-            let (sums, after) = rest.split_at_mut(i + 1);
+        for (i, ((a, b), c)) in x.iter().zip(y).zip(z).enumerate() {
+            let (row, after) = rest.split_at_mut(i + 1);
             rest = after;
-            let own = rows.map(|row| row[i]);
-            if own == [0.0; N] {
+            if *a == 0.0 && *b == 0.0 && *c == 0.0 {
                 continue;
             }
             let right = &mut self.right[i];
-            *right = (0..N).fold(*right, |sum, n| sum + own[n] * residuals[n]);
-            let rows = rows.map(|row| &row[..sums.len()]);
-            for (j, value) in sums.iter_mut().enumerate() {
-                *value = (0..N).fold(*value, |sum, n| sum + own[n] * rows[n][j]);
+            *right = *right + a * residuals[0] + b * residuals[1] + c * residuals[2];
+            for (((sum, x), y), z) in row.iter_mut().zip(x).zip(y).zip(z) {
+                *sum = *sum + a * x + b * y + c * z;
             }
         }
         self.cost = residuals.iter().fold(self.cost, |sum, residual| sum + residual * residual);
@@ -70,7 +78,7 @@ impl NormalEquations {
                 row.clear();
                 row.extend(derivatives.iter().map(|derivative| weight * derivative[kind][axis]));
             }
-            self.add_rows(rows.each_ref().map(Vec::as_slice), (weight * residual[kind]).into());
+            self.add_three(rows.each_ref().map(Vec::as_slice), (weight * residual[kind]).into());
         }
         self.rows = rows;
     }

@@ -115,6 +115,11 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
     };
     let mut expected = vec![0.0; correlations.len()];
     let none = misfit(0.0, &expected);
+    let is_chance = |improvement: f64| improvement * 3.0 * samples as f64 <= MAX_CHANCE_IMPROVEMENT;
+    // Even a perfect fit would be chance.
+    if is_chance(none) {
+        return (0.0, 0.0);
+    }
     let mut best = (0.0, 0.0, none);
     for rho in grid.filter(|&rho| rho <= longest) {
         mean_autoregressions(correlations, rho, &mut expected);
@@ -132,8 +137,7 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
             best = (share, rho, cost);
         }
     }
-    let is_chance = (none - best.2) * 3.0 * samples as f64 <= MAX_CHANCE_IMPROVEMENT;
-    if is_chance { (0.0, 0.0) } else { (best.0, best.1) }
+    if is_chance(none - best.2) { (0.0, 0.0) } else { (best.0, best.1) }
 }
 
 #[cfg(test)]

@@ -151,8 +151,9 @@ impl PoseRanking<'_> {
     ) -> Option<CompetingModel> {
         let path = self.only_path(model)?;
         // More hypotheses only lower the score.
-        let as_logged = self.ranking(&self.fit_models(&[model], FitHypotheses::Nothing))?;
-        if as_logged.models.first()?.is_unbeatable {
+        let as_logged = self.ranking(&self.fit_models(&[model], FitHypotheses::Nothing));
+        let as_logged = as_logged.as_ref().and_then(|ranking| ranking.models.first());
+        if as_logged.is_some_and(|it| it.is_unbeatable) {
             return None;
         }
         let own = self.rank(&[model])?;

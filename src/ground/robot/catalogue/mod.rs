@@ -55,15 +55,22 @@ impl Candidate {
 /// Text of one arm, and the arm once it is parsed.
 struct Entry {
     text: &'static str,
+    /// Fixed joints, too.
+    joint_names: Vec<&'static str>,
     robot: OnceLock<Robot>,
 }
 
 static ENTRIES: LazyLock<Vec<Entry>> = LazyLock::new(|| {
     let texts = VENDORS.iter().flat_map(|(_, text)| arm_texts(text));
-    texts.map(|text| Entry { text, robot: OnceLock::new() }).collect()
+    texts.map(Entry::new).collect()
 });
 
 impl Entry {
+    fn new(text: &'static str) -> Self {
+        let name = |line: &'static str| line.strip_prefix("name = \"")?.strip_suffix('"');
+        Self { text, joint_names: text.lines().filter_map(name).collect(), robot: OnceLock::new() }
+    }
+
     fn robot(&self) -> &Robot {
         self.robot.get_or_init(|| parse_arm(self.text).expect("the embedded catalogue is valid"))
     }
@@ -76,11 +83,9 @@ impl Entry {
     /// Whether at least two joints may have a logged name: one ends with the last word of the other, whatever the
     /// prefixes.
     fn may_have_joints<S: AsRef<str>>(&self, logged: &[S]) -> bool {
-        let joints =
-            self.text.lines().filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"'));
         let may_be =
-            |joint: &&str| logged.iter().any(|name| joint.ends_with(last_word(name.as_ref())));
-        joints.filter(may_be).nth(1).is_some()
+            |joint: &&&str| logged.iter().any(|name| joint.ends_with(last_word(name.as_ref())));
+        self.joint_names.iter().filter(may_be).nth(1).is_some()
     }
 }
 
