@@ -615,7 +615,8 @@ mod tests {
             };
             for encoding in candidate_encodings(&samples) {
                 let both = &[FreeFrameErrors::Both];
-                let residual = fits_with(&samples, both, encoding, &mut buffers)[0].residual_rad;
+                let residual =
+                    fits_of_encoding(&samples, both, encoding, &mut buffers)[0].residual_rad;
                 let bound = residual_bound(&buffers.0, &fk);
                 assert!(bound <= residual + 1e-9, "{encoding:?}: {residual} < {bound}");
                 smaller += usize::from(residual < 0.1);
