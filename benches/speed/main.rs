@@ -10,8 +10,9 @@
 //! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
 //! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
 //! cargo bench --bench speed -- --sizes             # only time over size
-//! cargo bench --bench speed -- --short             # only short runs and a long text table
-//! cargo bench --bench speed -- --python python3    # also times scripts: rosbags with pin, small-mcap
+//! cargo bench --bench speed -- --short             # only short runs, a dataset and a long text table
+//! cargo bench --bench speed -- --python python3    # also a dataset, and scripts that users might run instead
+//! cargo bench --bench speed -- --python python3 --episodes 10000   # with a larger dataset
 //! ```
 
 mod logs;
@@ -34,6 +35,8 @@ use process::{Cost, PairedCosts};
 
 /// Default number of messages of the largest log.
 const DEFAULT_MESSAGES: u64 = 2_500_000;
+/// Default number of episodes of the dataset.
+const DEFAULT_EPISODES: usize = 1000;
 /// Number of pairs of runs; ratios are medians.
 const PAIRS: usize = 5;
 
@@ -56,8 +59,16 @@ fn main() -> Result<()> {
     if arguments.iter().any(|word| word == "--sizes") {
         return sizes::print_growth(&folder);
     }
+    let episodes = value("--episodes").map_or(Ok(DEFAULT_EPISODES), |text| text.parse())?;
+    let print_short_runs = || {
+        short::print_costs(&folder, PAIRS)?;
+        match value("--python") {
+            Some(python) => short::print_dataset_costs(&folder, python, episodes),
+            None => Ok(()),
+        }
+    };
     if arguments.iter().any(|word| word == "--short") {
-        return short::print_costs(&folder, PAIRS);
+        return print_short_runs();
     }
     let logs = Logs::generate(&folder, messages)?;
 
@@ -122,7 +133,7 @@ fn main() -> Result<()> {
         last = Some((log.messages, cost));
     }
 
-    short::print_costs(&folder, PAIRS)?;
+    print_short_runs()?;
     sizes::print_growth(&folder)?;
     print_stages(&logs.reference_log().path)?;
     print_fk_rate()
@@ -149,7 +160,8 @@ fn time_user_scripts(python: &str, log: &Path) -> Result<()> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/speed/users.py");
     for (mode, what) in [
         ("fk", "rosbags and Pinocchio, FK of two topics"),
-        ("count", "small-mcap, messages counted"),
+        ("count", "mcap, messages counted"),
+        ("info", "pymcap-cli info"),
     ] {
         let mut command = Command::new(python);
         match PairedCosts::run(command.arg(&script).arg(mode).arg(log), log, 1) {

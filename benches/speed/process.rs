@@ -18,36 +18,41 @@ pub struct Cost {
     pub anonymous_mib: f64,
 }
 
-/// Ratio of the cost of a command to that of the floor, over several pairs of runs.
+/// Median and quartiles of several runs: a ratio of costs, or a cost.
 #[derive(Clone, Copy, Debug)]
-pub struct Ratio {
+pub struct Spread {
     pub median: f64,
-    /// Lower and upper quartile of the pairs.
+    /// Lower and upper quartile.
     pub quartiles: (f64, f64),
 }
 
-impl Ratio {
-    fn from_ratios(mut ratios: Vec<f64>) -> Self {
-        ratios.sort_by(f64::total_cmp);
-        let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share).round() as usize];
+impl Spread {
+    pub fn from_runs(runs: impl IntoIterator<Item = f64>) -> Self {
+        let mut runs: Vec<f64> = runs.into_iter().collect();
+        runs.sort_by(f64::total_cmp);
+        let at = |share: f64| runs[((runs.len() - 1) as f64 * share).round() as usize];
         Self { median: at(0.5), quartiles: (at(0.25), at(0.75)) }
     }
 }
 
-impl fmt::Display for Ratio {
+impl fmt::Display for Spread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (low, high) = self.quartiles;
-        let decimals = if self.median < 10.0 { 2 } else { 0 };
-        f.pad(&format!("{:.decimals$}× ({low:.decimals$}–{high:.decimals$})", self.median))
+        let decimals = match self.median {
+            ..10.0 => 2,
+            10.0..100.0 => 1,
+            _ => 0,
+        };
+        f.pad(&format!("{:.decimals$} ({low:.decimals$}–{high:.decimals$})", self.median))
     }
 }
 
 /// A command compared with the floor.
 pub struct PairedCosts {
     /// Ratio of wall time.
-    pub wall: Ratio,
+    pub wall: Spread,
     /// Ratio of processor time.
-    pub cpu: Ratio,
+    pub cpu: Spread,
     /// Median cost of the command.
     pub cost: Cost,
 }
@@ -79,28 +84,26 @@ impl PairedCosts {
         }
         // In the first pair, the file is not cached yet.
         costs.remove(0);
-        let median = |of: &dyn Fn(&(Cost, Cost)) -> f64| {
-            let mut values: Vec<f64> = costs.iter().map(of).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
+        let median = |of: &dyn Fn(&Cost) -> f64| {
+            Spread::from_runs(costs.iter().map(|(own, _)| of(own))).median
         };
         let ratio = |of: &dyn Fn(&Cost) -> f64| {
-            Ratio::from_ratios(costs.iter().map(|(own, floor)| of(own) / of(floor)).collect())
+            Spread::from_runs(costs.iter().map(|(own, floor)| of(own) / of(floor)))
         };
         Ok(Self {
             wall: ratio(&|cost| cost.wall_s),
             cpu: ratio(&|cost| cost.cpu_s),
             cost: Cost {
-                wall_s: median(&|(own, _)| own.wall_s),
-                cpu_s: median(&|(own, _)| own.cpu_s),
-                anonymous_mib: median(&|(own, _)| own.anonymous_mib),
+                wall_s: median(&|own| own.wall_s),
+                cpu_s: median(&|own| own.cpu_s),
+                anonymous_mib: median(&|own| own.anonymous_mib),
             },
         })
     }
 }
 
 /// Runs a command; a status other than 0 is an error.
-fn run_checked(command: &mut Command) -> Result<Cost> {
+pub fn run_checked(command: &mut Command) -> Result<Cost> {
     let (cost, code) = measure_cost(command)?;
     ensure!(code == Some(0), "{command:?} ended with {code:?}");
     Ok(cost)

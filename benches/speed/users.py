@@ -1,7 +1,8 @@
-"""Equivalent user scripts, timed for comparison with the audit: `users.py fk|count LOG`.
+"""Equivalent user scripts, timed for comparison with the audit: `users.py fk|count|info LOG`.
 
 fk: compares Pinocchio's forward kinematics of the joint states with the poses, both read by rosbags.
-count: counts the messages of a log with small-mcap, unpacked but not decoded.
+count: counts the messages of a log with the mcap package, unpacked but not decoded.
+info: pymcap-cli's summary of the log.
 """
 
 import sys
@@ -40,12 +41,18 @@ def fk(log: str) -> str:
 
 
 def count(log: str) -> str:
-    from small_mcap import read_message
+    from mcap.reader import make_reader
 
     with open(log, "rb") as file:
-        return f"{sum(1 for _ in read_message(file))} messages"
+        return f"{sum(1 for _ in make_reader(file).iter_messages())} messages"
+
+
+def info(log: str) -> str:
+    import subprocess
+
+    return subprocess.run(["pymcap-cli", "info", log], check=True, capture_output=True, text=True).stdout
 
 
 if __name__ == "__main__":
     mode, log = sys.argv[1:]
-    print({"fk": fk, "count": count}[mode](log))
+    print({"fk": fk, "count": count, "info": info}[mode](log))

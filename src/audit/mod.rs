@@ -14,8 +14,8 @@ use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, 
 use crate::log::{Extent, Log, Loss};
 use crate::places::PathRegistry;
 use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, comparison_rows,
-    has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, table_rows,
+    Figures, FileRow, LogSummary, NoteRow, Plots, Report, Trouble, build_figures, comparison_rows,
+    has_decided_hand_eye, has_fault, join_segments, plans, robot_rows, stream_rows, table_rows,
     workspace_coverage,
 };
 use crate::run::{
@@ -170,15 +170,24 @@ impl Audited {
 
     /// Adds [`Report::figures`].
     pub fn with_figures(mut self) -> Self {
-        self.report.figures = Some(self.figures());
+        self.report.figures = Some(self.figures(Plots::All));
         self
     }
 
-    pub(crate) fn figures(&self) -> Figures {
+    /// Adds the figures of the text format, which draws the errors that a fault explains.
+    pub fn with_error_series(mut self) -> Self {
+        if has_fault(&self.report.findings) {
+            self.report.figures = Some(self.figures(Plots::OverTime));
+        }
+        self
+    }
+
+    pub(crate) fn figures(&self, plots: Plots) -> Figures {
         let corrected = |arm: &Arm, of: &ArmEvidence| {
             of.diagnosis.corrected_joints(&arm.joints, &arm.are_prismatic())
         };
-        let drawn = build_figures(&self.run, &self.evidence, corrected, &self.report.findings);
+        let drawn =
+            build_figures(&self.run, &self.evidence, corrected, &self.report.findings, plots);
         Figures { is_longest_segment: self.is_part, ..drawn }
     }
 

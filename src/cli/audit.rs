@@ -243,8 +243,11 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         Err(trouble) if !args.reports.has_trouble_format() => return Err(trouble),
         Err(trouble) => (Report::from_trouble(trouble), Vec::new()),
         Ok(audited) => {
-            let are_pictured = args.reports.has_pictures();
-            let mut audited = if are_pictured { audited.with_figures() } else { audited };
+            let mut audited = match args.reports.has_plots() {
+                true => audited.with_figures(),
+                false if args.reports.has_text() => audited.with_error_series(),
+                false => audited,
+            };
             let unwritten = args.write_outputs(&mut audited);
             (audited.into_report(), unwritten)
         }

@@ -269,7 +269,6 @@ mod tests {
     #[test]
     fn every_driver_is_of_a_maker_in_the_catalogue_and_says_where_its_topics_are_from() {
         let vendors: Vec<&str> = catalogue::entries()
-            .iter()
             .filter_map(|robot| robot.provenance.as_ref())
             .map(|maker| maker.vendor.as_str())
             .collect();

@@ -87,9 +87,13 @@ impl ReportOptions {
         self.output.is_none() && self.formats.iter().any(|format| format.is_text())
     }
 
-    /// Whether a format has pictures.
-    pub fn has_pictures(&self) -> bool {
-        self.formats.iter().any(|format| format.has_pictures())
+    /// Whether a format has plots.
+    pub fn has_plots(&self) -> bool {
+        self.formats.iter().any(|format| format.has_plots())
+    }
+
+    pub fn has_text(&self) -> bool {
+        self.formats.iter().any(|format| format.is_text())
     }
 
     /// Writes every format.

@@ -26,7 +26,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let robots: Vec<&Robot> = match &args.name {
         Some(name) => vec![find(name)?],
-        None => catalogue::entries().iter().collect(),
+        None => catalogue::entries().collect(),
     };
     output::emit(None, |out| match (args.format, args.name.is_some()) {
         (Format::Json, _) => {

@@ -30,7 +30,7 @@ impl FrameNames {
     pub fn check(&self, robot: Option<&Robot>) -> Result<(), DeskError> {
         let robots: Vec<&Robot> = match robot {
             Some(robot) => vec![robot],
-            None => catalogue::entries().iter().collect(),
+            None => catalogue::entries().collect(),
         };
         let links =
             || robots.iter().flat_map(|robot| robot.links().map(|link| robot.link_name(link)));

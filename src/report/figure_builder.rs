@@ -27,12 +27,21 @@ const MAX_GAPS: usize = 60;
 /// Pose streams per arm that are plotted without a finding.
 const MAX_STREAMS_WITHOUT_FINDING: usize = 16;
 
+/// Which plots to draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plots {
+    All,
+    /// Without the residual by latency, which takes as long as many steps of the audit.
+    OverTime,
+}
+
 /// `corrected` returns an arm's corrected joint states.
 pub(crate) fn build_figures(
     run: &Run,
     facts: &RunEvidence,
     corrected: impl Fn(&Arm, &ArmEvidence) -> JointTrack,
     findings: &[Finding],
+    plots: Plots,
 ) -> Figures {
     let has_finding = |topic: &str| {
         let mut findings = findings.iter();
@@ -52,14 +61,14 @@ pub(crate) fn build_figures(
         let streams: Vec<_> = arm.poses.iter().zip(&facts.poses).enumerate().collect();
         let drawn = streams.into_par_iter().filter_map(|(index, (source, stream))| {
             let is_drawn = index < MAX_STREAMS_WITHOUT_FINDING || has_finding(stream.topic());
-            is_drawn.then(|| pose_figure(&clock, &corrected, source, facts, stream))
+            is_drawn.then(|| pose_figure(&clock, &corrected, source, (facts, stream), plots))
         });
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // The publisher of the log's transforms uses uncorrected joint states.
             let joints =
                 arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
-            let drawn = pose_figure(&clock, joints, source, facts, stream);
+            let drawn = pose_figure(&clock, joints, source, (facts, stream), plots);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }
         figures.imus.extend(imu_figures(&clock, &corrected, arm, facts));
@@ -101,15 +110,18 @@ fn pose_figure(
     clock: &RunClock,
     joints: &JointTrack,
     source: &PoseSource,
-    arm: &ArmEvidence,
-    facts: &StreamEvidence<PoseEvidence>,
+    (arm, facts): (&ArmEvidence, &StreamEvidence<PoseEvidence>),
+    plots: Plots,
 ) -> PoseFigure {
     let found = &facts.diagnosis;
     let aligned = &found.aligned;
     let before = if facts.reference_known { aligned.before() } else { PoseDistances::default() };
     let after = aligned.after();
     let stream = clock.run.pose_stream(source);
-    let valley = residual_by_latency(joints, &stream, found).into_iter();
+    let valley = match plots {
+        Plots::All => residual_by_latency(joints, &stream, found),
+        Plots::OverTime => Vec::new(),
+    };
     PoseFigure {
         robot: arm.name.clone(),
         topic: facts.topic().to_owned(),
@@ -121,7 +133,10 @@ fn pose_figure(
         after_rad: after.rad,
         reach_m: aligned.reach_m(),
         at_m: aligned.fk.iter().map(|fk| fk.translation.vector.into()).collect(),
-        residual_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
+        residual_by_latency: valley
+            .into_iter()
+            .map(|at| [at.latency_s, at.rms_m, at.rms_rad])
+            .collect(),
         latency_profile: clock.latency_profile(&found.latency_profile),
         encodings: encoding_scores(&found.encoding),
     }

@@ -72,9 +72,9 @@ impl Format {
         self.name == Self::text().name
     }
 
-    /// Shows [`Report::figures`].
-    pub fn has_pictures(&self) -> bool {
-        matches!(self.name, "html" | "text")
+    /// Shows plots of [`Report::figures`].
+    pub fn has_plots(&self) -> bool {
+        self.name == "html"
     }
 
     /// Writes `report` in this format.

@@ -38,7 +38,7 @@ use crate::time::Stamp;
 
 pub(crate) use comparisons::comparison_rows;
 pub use comparisons::{ComparisonRow, TrajectoryErrorRow};
-pub(crate) use figure_builder::build_figures;
+pub(crate) use figure_builder::{Plots, build_figures};
 pub use figures::Figures;
 pub use file::write_whole;
 pub(crate) use file::{is_descriptor, resolve_local_link};
@@ -49,6 +49,7 @@ pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{join_segments, robot_rows, stream_rows, table_rows};
 pub(crate) use sanitize::quote_line;
 pub use sanitize::{escape_direction, quote_for_shell, sanitize, sanitize_display};
+pub(crate) use sparkline::has_fault;
 pub use trouble::{Trouble, TroubleKind};
 pub(crate) use workspace::{ArmWorkspace, reached_workspaces, workspace_coverage};
 pub use workspace::{JointCoverage, WorkspaceRow};

@@ -11,12 +11,16 @@ const LEVELS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█
 /// Cell without samples.
 const NO_SAMPLES: char = '·';
 
+/// Whether a finding is more than information.
+pub(crate) fn has_fault(findings: &[Finding]) -> bool {
+    findings.iter().any(|found| found.severity != Severity::Info)
+}
+
 /// One line per stream whose errors the findings explain. Empty without figures or faults.
 pub(super) fn error_sparklines(report: &Report) -> Vec<String> {
     /// Fraction of the rms error that may remain.
     const MAX_REMAINING_RATIO: f64 = 0.5;
-    let is_fault = |found: &Finding| found.severity != Severity::Info;
-    let figures = report.figures.as_ref().filter(|_| report.findings.iter().any(is_fault));
+    let figures = report.figures.as_ref().filter(|_| has_fault(&report.findings));
     let Some(figures) = figures else { return Vec::new() };
     let is_blamed = |topic: &str| {
         report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))

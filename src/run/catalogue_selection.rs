@@ -213,7 +213,7 @@ pub(super) fn mapped_models_from_catalogue(
 ) -> Result<Vec<LogModel>, RunError> {
     let each = maps.iter().map(|map| {
         let has_all = |robot: &&Robot| map.iter().all(|(_, name)| robot.joint(name).is_some());
-        let renamed = catalogue::entries().iter().filter(has_all).filter_map(|robot| {
+        let renamed = catalogue::entries().filter(has_all).filter_map(|robot| {
             Some(LogModel::new(joint_order::rename_joints(robot, map)?, String::new(), "", clues))
         });
         let equals: Vec<LogModel> = renamed.collect();

@@ -100,7 +100,7 @@ pub(super) fn match_catalogue(
                 .filter_map(|order| build_match(robot, &path, order, series.is_numbered, clues))
                 .collect()
         };
-        let matches = catalogue::entries().iter().flat_map(of_robot);
+        let matches = catalogue::entries().flat_map(of_robot);
         match choose_by_poses(matches.collect(), criteria) {
             MatchChoice::One { joint_match, why } => {
                 let found = format!(
@@ -131,7 +131,7 @@ pub(super) fn arms_with_joint_count(logged: &[String], clues: &ModelClues<'_>) -
             orders.iter().filter_map(|order| build_match(robot, order, logged, true, clues));
         matches.map(|joint_match| joint_match.model).collect()
     };
-    catalogue::entries().iter().flat_map(of_robot).collect()
+    catalogue::entries().flat_map(of_robot).collect()
 }
 
 /// Common driver orders: from base to tip, and by name as in `joint_state_broadcaster` and MoveIt (a UR's

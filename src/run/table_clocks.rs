@@ -154,7 +154,7 @@ fn group_offset(
     let given = models::read_given_or_shared(options).unwrap_or_default();
     let named = models::robots_for_numbered_joints(&given, log.robot_type.as_deref());
     let named: Vec<&Robot> = named.into_iter().map(|(robot, _)| robot).collect();
-    let robots = if named.is_empty() { catalogue::entries().iter().collect() } else { named };
+    let robots = if named.is_empty() { catalogue::entries().collect() } else { named };
     let mut best: Option<Vec<LagPeak>> = None;
     for chain in robots.into_iter().flat_map(arm_chains) {
         let Some(order) = joint_order(&chain, columns) else { continue };

@@ -73,7 +73,7 @@ fn every_arm_names_its_source_and_its_controller_frames() {
 #[test]
 fn catalogue_names_and_aliases_are_unique() {
     let mut names: Vec<&str> = catalogue::names().collect();
-    names.extend(catalogue::entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str));
+    names.extend(catalogue::entries().flat_map(|robot| &robot.aliases).map(String::as_str));
     let count = names.len();
     names.sort_unstable();
     names.dedup();

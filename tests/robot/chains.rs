@@ -28,7 +28,7 @@ const GANTRY: &str = "
 #[test]
 fn the_jacobian_is_the_derivative_of_the_pose() {
     let gantry = urdf(GANTRY);
-    let mut chains: Vec<Chain> = catalogue::entries().iter().map(default_chain).collect();
+    let mut chains: Vec<Chain> = catalogue::entries().map(default_chain).collect();
     chains.push(chain(&gantry, "camera", "tool"));
     chains.push(chain(&gantry, "tool", "rail"));
     for chain in &chains {

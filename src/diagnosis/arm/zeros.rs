@@ -39,6 +39,7 @@ pub(super) fn joint_offsets(
         .copied()
         .filter(|cause| matches!(cause, Cause::Zero(_)))
         .collect();
+    let levers_m = levers_m(decoded, joints.dof);
     let all_zeros: Vec<Cause> = model.causes.iter().copied().chain(zeros.iter().copied()).collect();
     let std_errors = std_errors_beside_links(fitted, decoded);
     (0..joints.dof)
@@ -78,7 +79,7 @@ pub(super) fn joint_offsets(
             let offset = offset.map(within_a_turn);
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
             let chord = if is_slide { amount } else { 2.0 * (0.5 * amount).sin() };
-            let lever_m = lever_m(decoded, joint);
+            let lever_m = levers_m[joint];
             JointOffset {
                 offset,
                 is_chosen: chosen,
@@ -176,33 +177,34 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
         .collect()
 }
 
-/// Largest distance from axis to tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton
+/// Largest distance of each joint's axis from the tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton
 /// 1960).
-fn lever_m(decoded: &[&DecodedStream], joint: usize) -> f64 {
+fn levers_m(decoded: &[&DecodedStream], dof: usize) -> Vec<f64> {
     const CONFIGURATIONS: u32 = 500;
     const HALTON_BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
-    let lever = |decoded: &&DecodedStream| {
-        let joint_index =
-            decoded.observations.columns.iter().position(|&column| column == joint)?;
-        let chain = decoded.observations.chain;
-        let kinds = chain.joint_kinds();
-        if kinds[joint_index] == JointKind::Prismatic {
-            return Some(1.0);
-        }
+    let mut levers_m = vec![0.0_f64; dof];
+    for DecodedStream { observations, .. } in decoded {
+        let (chain, kinds) = (observations.chain, observations.chain.joint_kinds());
         let mut jacobian = vec![[0.0; 6]; chain.dof()];
-        let levers = (1..=CONFIGURATIONS).map(|index| {
+        for index in 1..=CONFIGURATIONS {
             let at = |(j, kind): (usize, &JointKind)| match kind {
                 JointKind::Prismatic => 0.0,
                 _ => TAU * (radical_inverse(index, HALTON_BASES[j % HALTON_BASES.len()]) - 0.5),
             };
             let q: Vec<f64> = kinds.iter().enumerate().map(at).collect();
             chain.forward_with_jacobian(&q, &mut jacobian);
-            let [x, y, z, ..] = jacobian[joint_index];
-            Vec3::new(x, y, z).norm()
-        });
-        Some(levers.fold(0.0, f64::max))
-    };
-    decoded.iter().filter_map(lever).fold(0.0, f64::max)
+            for ((&column, kind), [x, y, z, ..]) in
+                observations.columns.iter().zip(kinds).zip(&jacobian)
+            {
+                let lever_m = match kind {
+                    JointKind::Prismatic => 1.0,
+                    _ => Vec3::new(*x, *y, *z).norm(),
+                };
+                levers_m[column] = levers_m[column].max(lever_m);
+            }
+        }
+    }
+    levers_m
 }
 
 /// Digits of `index` in `base`, mirrored at the point, in [0, 1).

@@ -408,7 +408,7 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
     let buffers = &mut Default::default();
-    let as_logged = fits_with(samples, &frames[..1], PoseEncoding::AsLogged, buffers);
+    let as_logged = fits_of_encoding(samples, &frames[..1], PoseEncoding::AsLogged, buffers);
     if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
         frames = &frames[..1];
     }
@@ -424,7 +424,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
         RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
     let screened = nearest_fits(&coarse, frames, SCREENING_ERROR_FACTOR);
     let refit = |buffers: &mut _, coarse: Vec<EncodingFit>| {
-        fits_with(samples, frames, coarse[0].encoding, buffers)
+        fits_of_encoding(samples, frames, coarse[0].encoding, buffers)
     };
     screened.into_par_iter().map_init(Default::default, refit).flatten_iter().collect()
 }
@@ -437,11 +437,14 @@ fn nearest_fits(
     factor: f64,
 ) -> Vec<Vec<EncodingFit>> {
     let encodings = candidate_encodings(samples);
-    let bound = |(candidates, buffer): &mut Buffers, encoding| {
-        fill(candidates, encoding, samples, buffer);
-        residual_bound(candidates, samples.fk)
+    let candidates_and_bound = |buffer: &mut Vec<Rotation>, encoding| {
+        let mut candidates = CandidateRotations::default();
+        fill(&mut candidates, encoding, samples, buffer);
+        let bound = residual_bound(&candidates, samples.fk);
+        (candidates, bound)
     };
-    let bounds: Vec<f64> = encodings.par_iter().map_init(Default::default, bound).collect();
+    let (candidates, bounds): (Vec<CandidateRotations>, Vec<f64>) =
+        encodings.par_iter().map_init(Vec::new, candidates_and_bound).unzip();
     let is_as_logged = |&candidate: &usize| matches!(encodings[candidate], PoseEncoding::AsLogged);
     let mut nearest: Vec<usize> = (0..encodings.len()).collect();
     nearest.sort_by(|a, b| {
@@ -454,12 +457,12 @@ fn nearest_fits(
         if !is_as_logged(&batch[0]) && bounds[batch[0]] > limit {
             break;
         }
-        let fit = |buffers: &mut Buffers, &candidate: &usize| {
-            let fits = fits_with(samples, frames, encodings[candidate], buffers);
+        let fit = |&candidate: &usize| {
+            let fits = fits_with(samples, frames, encodings[candidate], &candidates[candidate]);
             let residuals = fits.iter().map(|fit| fit.residual_rad);
             (residuals.fold(f64::INFINITY, f64::min), candidate, fits)
         };
-        fitted.par_extend(batch.par_iter().map_init(Default::default, fit));
+        fitted.par_extend(batch.par_iter().map(fit));
         let min_residual = fitted.iter().map(|(residual, ..)| *residual).min_by(f64::total_cmp);
         limit = min_residual.map_or(limit, |residual_rad| factor * max_accepted(residual_rad));
     }
@@ -511,13 +514,23 @@ fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
 }
 
 /// One fit per entry of `frames`.
-fn fits_with(
+fn fits_of_encoding(
     samples: &RotationSamples,
     frames: &[FreeFrameErrors],
     encoding: PoseEncoding,
     (candidates, buffer): &mut Buffers,
 ) -> Vec<EncodingFit> {
     fill(candidates, &encoding, samples, buffer);
+    fits_with(samples, frames, encoding, candidates)
+}
+
+/// Same with the candidates of the encoding.
+fn fits_with(
+    samples: &RotationSamples,
+    frames: &[FreeFrameErrors],
+    encoding: PoseEncoding,
+    candidates: &CandidateRotations,
+) -> Vec<EncodingFit> {
     let fit = |&frames: &FreeFrameErrors| {
         let (reference, tool) = match frames {
             FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
@@ -537,7 +550,8 @@ fn fits_with(
 
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
-    let fits = fits_with(samples, allowed_frames(samples), encoding, &mut Default::default());
+    let fits =
+        fits_of_encoding(samples, allowed_frames(samples), encoding, &mut Default::default());
     let min_residual = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
     let max_residual = max_similar(min_residual);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
@@ -601,7 +615,8 @@ mod tests {
             };
             for encoding in candidate_encodings(&samples) {
                 let both = &[FreeFrameErrors::Both];
-                let residual = fits_with(&samples, both, encoding, &mut buffers)[0].residual_rad;
+                let residual =
+                    fits_of_encoding(&samples, both, encoding, &mut buffers)[0].residual_rad;
                 let bound = residual_bound(&buffers.0, &fk);
                 assert!(bound <= residual + 1e-9, "{encoding:?}: {residual} < {bound}");
                 smaller += usize::from(residual < 0.1);

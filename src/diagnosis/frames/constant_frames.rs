@@ -42,9 +42,9 @@ pub(crate) fn starting_states(
     let with =
         |reference: Pose, tool: Pose| StreamState { reference, tool, ..without_frames.clone() };
     let identity = Pose::identity();
-    let (reference, tool) = fit_frames(&fk, &logged);
     let mut starts = Vec::new();
     if !observations.reference_known {
+        let (reference, tool) = fit_frames(&fk, &logged);
         starts.push(with(reference_frame(&fk, &logged), identity));
         starts.push(with(reference, tool));
         return starts;
@@ -57,6 +57,7 @@ pub(crate) fn starting_states(
     if far.count() * 4 < fk.len() {
         return starts;
     }
+    let (reference, tool) = fit_frames(&fk, &logged);
     let reference_only = reference_frame(&fk, &logged);
     let tool_only = tool_frame(&fk, &logged);
     let first_joint = observations.chain.first_joint_frame();

@@ -2,7 +2,7 @@
 
 use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
-use super::speed_residual::squared_residual;
+use super::speed_residual::{SpeedPairs, fit_rows};
 use crate::LatencyProfile;
 use crate::samples::sampling::monotonic_rows;
 
@@ -92,19 +92,34 @@ impl LatencyRamp {
     /// Minimises the speed residual over the lag at each knot. Returns the residual.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
-        let mut min_residual = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
+        let rows = fit_rows(stream);
+        let mut pairs = SpeedPairs::new(arm, stream, &rows, &|t_s| self.lag_s(t_s));
+        let mut min_residual = pairs.squared_residual();
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
             for knot in 0..self.knots.len() {
+                let span_s = self.span_of_knot(knot);
                 for by_s in [step_s, -step_s] {
                     self.knots[knot].1 += by_s;
-                    match squared_residual(arm, stream, &|t_s| self.lag_s(t_s)) {
+                    pairs.update(span_s, &|t_s| self.lag_s(t_s));
+                    match pairs.squared_residual() {
                         lower if lower < min_residual => min_residual = lower,
-                        _ => self.knots[knot].1 -= by_s,
+                        _ => {
+                            self.knots[knot].1 -= by_s;
+                            pairs.update(span_s, &|t_s| self.lag_s(t_s));
+                        }
                     }
                 }
             }
         }
         min_residual
+    }
+
+    /// Stamps whose latency depends on the lag at a knot, s.
+    fn span_of_knot(&self, knot: usize) -> (f64, f64) {
+        let before = knot.checked_sub(1).filter(|before| *before > 0);
+        let after = Some(knot + 1).filter(|after| after + 1 < self.knots.len());
+        let at = |knot: Option<usize>| knot.map(|knot| self.knots[knot].0);
+        (at(before).unwrap_or(f64::NEG_INFINITY), at(after).unwrap_or(f64::INFINITY))
     }
 
     fn with_midpoints(&self) -> Vec<(f64, f64)> {

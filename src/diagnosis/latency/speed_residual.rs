@@ -11,7 +11,7 @@ pub(crate) fn squared_residual(
     stream: &SpeedSeries,
     lag_s: &dyn Fn(f64) -> f64,
 ) -> f64 {
-    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
+    SpeedPairs::new(arm, stream, &fit_rows(stream), lag_s).squared_residual()
 }
 
 pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
@@ -31,34 +31,76 @@ pub(crate) fn differences(
     rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    /// For interpolation, s.
+    SpeedPairs::new(arm, stream, rows, &lag_s).squares().collect()
+}
+
+/// Speeds of arm and stream at common times.
+pub(crate) struct SpeedPairs<'a> {
+    arm: &'a SpeedSeries,
+    stream: &'a SpeedSeries,
+    rows: &'a [usize],
+    /// `None` if the arm's speed is unknown.
+    pairs: Vec<Option<(f64, f64)>>,
+}
+
+impl<'a> SpeedPairs<'a> {
+    pub fn new(
+        arm: &'a SpeedSeries,
+        stream: &'a SpeedSeries,
+        rows: &'a [usize],
+        lag_s: &dyn Fn(f64) -> f64,
+    ) -> Self {
+        let mut pairs = Self { arm, stream, rows, pairs: vec![None; rows.len()] };
+        pairs.update((f64::NEG_INFINITY, f64::INFINITY), lag_s);
+        pairs
+    }
+
+    /// Replaces the lag of stamps from the first to the second.
+    pub fn update(&mut self, (from_s, to_s): (f64, f64), lag_s: &dyn Fn(f64) -> f64) {
+        let Self { arm, stream, rows, pairs } = self;
+        let first = rows.partition_point(|&row| stream.t_s[row] < from_s);
+        let end = rows.partition_point(|&row| stream.t_s[row] <= to_s);
+        let mut after = 0;
+        for (pair, &row) in pairs[first..end].iter_mut().zip(&rows[first..end]) {
+            let t_s = stream.t_s[row];
+            *pair =
+                speed_at(arm, t_s - lag_s(t_s), &mut after).map(|speed| (speed, stream.value[row]));
+        }
+    }
+
+    fn squares(&self) -> impl Iterator<Item = f64> {
+        let square = |of: fn(&(f64, f64)) -> f64| self.pairs.iter().flatten().map(of).sum::<f64>();
+        // The stream may use another length unit.
+        let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
+        let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
+        self.pairs
+            .iter()
+            .map(move |pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
+    }
+
+    pub fn squared_residual(&self) -> f64 {
+        self.squares().sum()
+    }
+}
+
+/// Interpolated. `None` outside the series and in gaps.
+fn speed_at(arm: &SpeedSeries, t_s: f64, after: &mut usize) -> Option<f64> {
     const MAX_GAP_S: f64 = 0.5;
-    let mut after = 0;
-    let arm_at = |t_s: f64, after: &mut usize| {
-        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
-            *after += 1;
-        }
-        while *after > 0 && arm.t_s[*after - 1] >= t_s {
-            *after -= 1;
-        }
-        let before = after.checked_sub(1)?;
-        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
-        let part = (t_s - a_s) / (b_s - a_s);
-        (b_s - a_s < MAX_GAP_S)
-            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
-    };
-    let pairs: Vec<Option<(f64, f64)>> = rows
-        .iter()
-        .map(|&row| {
-            Some((arm_at(stream.t_s[row] - lag_s(stream.t_s[row]), &mut after)?, stream.value[row]))
-        })
-        .collect();
-    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
-    // The stream may use another length unit.
-    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
-    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
-    pairs
-        .into_iter()
-        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
-        .collect()
+    /// A search is faster beyond it.
+    const MAX_STEPS: usize = 8;
+    let is_near = |at: usize| arm.t_s.get(at).is_none_or(|own| *own >= t_s);
+    if !is_near(*after + MAX_STEPS) {
+        *after = arm.t_s.partition_point(|own| *own < t_s);
+    }
+    while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
+        *after += 1;
+    }
+    while *after > 0 && arm.t_s[*after - 1] >= t_s {
+        *after -= 1;
+    }
+    let before = after.checked_sub(1)?;
+    let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
+    let part = (t_s - a_s) / (b_s - a_s);
+    (b_s - a_s < MAX_GAP_S)
+        .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
 }

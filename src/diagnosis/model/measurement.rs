@@ -212,6 +212,12 @@ impl State {
         DVector::from_iterator(self.width(), self.offsets.iter().copied().chain(streams))
     }
 
+    /// Round reference and tool of each stream.
+    pub fn round_frames(&self) -> impl Iterator<Item = Option<&Pose>> {
+        let streams = self.streams.iter();
+        streams.flat_map(|s| [s.round_reference.as_ref(), s.round_tool.as_ref()])
+    }
+
     /// Adds `delta` to the parameters.
     pub fn step(&mut self, delta: &DVector<f64>) {
         let joints = self.offsets.len();
@@ -354,15 +360,37 @@ impl PoseObservations<'_> {
         offsets: &[f64],
         most: usize,
     ) -> (f64, f64) {
-        let linear = self.linearize(stream, offsets, self.len().div_ceil(most).max(1));
-        let latency = offsets.len() + LATENCY_COLUMN;
-        let (mut square, mut along, mut steep) = (0.0, 0.0, f64::MIN_POSITIVE);
-        for (slope, residual) in linear.along(latency) {
-            square += residual * residual;
-            along += slope * residual;
-            steep += slope * slope;
+        let mut sweep = PredictionBuffers::new(self);
+        let (mut samples, mut square) = (0, 0.0);
+        let (mut along, mut steep) = (0.0, f64::MIN_POSITIVE);
+        for k in (0..self.len()).step_by(self.len().div_ceil(most).max(1)) {
+            let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else { continue };
+            let by_latency = self.by_latency(&predicted, &sweep, stream);
+            for (slope, residual) in by_latency.iter().zip(self.residual(k, &predicted.pose)) {
+                for (slope, residual) in slope.iter().zip(residual) {
+                    square += residual * residual;
+                    along += slope * residual;
+                    steep += slope * slope;
+                }
+            }
+            samples += 1;
         }
-        ((square / linear.len().max(1) as f64).sqrt(), along / steep)
+        ((square / f64::from(samples.max(1))).sqrt(), along / steep)
+    }
+
+    /// Derivative of position and rotation by the latency; zero at rest.
+    fn by_latency(
+        &self,
+        predicted: &Predicted,
+        sweep: &PredictionBuffers,
+        stream: &StreamState,
+    ) -> [[f64; 3]; 2] {
+        if !predicted.moving {
+            return [[0.0; 3]; 2];
+        }
+        let velocity = predicted.jacobian(&sweep.jacobian, stream).velocity(&sweep.qd);
+        let [linear, angular] = velocity.map(|part| -part);
+        [self.excluded.mask_position(linear.into()), self.excluded.mask_rotation(angular.into())]
     }
 
     /// `reference_from_tip · tool`. `None` if joint states do not cover `k`.
@@ -388,7 +416,9 @@ impl PoseObservations<'_> {
         let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
         let mut sweep = PredictionBuffers::new(self);
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-        for k in (0..self.len()).step_by(stride.max(1)) {
+        let rows = (0..self.len()).step_by(stride.max(1));
+        linear.reserve(rows.len());
+        for k in rows {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {
                 continue;
             };

@@ -144,8 +144,8 @@ proptest! {
         seed in 0_u64..1000,
         purpose in 0_usize..5,
     ) {
-        let arms = catalogue::entries();
-        let chain = chain_of(&arms[arm % arms.len()]);
+        let arms: Vec<_> = catalogue::entries().collect();
+        let chain = chain_of(arms[arm % arms.len()]);
         let q = posture(&chain, &parts);
         let (margins_at, keep) = (margins_at(&chain, &q), free(&chain, &q));
         let purpose = Purpose::ALL[purpose];

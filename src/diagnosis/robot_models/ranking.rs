@@ -175,6 +175,8 @@ impl ModelFit {
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
+    /// Only [`FitAssumption::Nothing`], from zero latency.
+    Nothing,
     /// Those without a fault.
     Faultless,
     /// Every hypothesis.
@@ -189,6 +191,10 @@ pub fn fit_model(
     tried: FitHypotheses,
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
+    if tried == FitHypotheses::Nothing {
+        let at_zero = StreamWithFk::new(joints, stream, scale, (0.0, max_lag_s))?;
+        return Some(at_zero.fit_under(&[FitAssumption::Nothing]));
+    }
     let lag_s = candidate_lags(joints, stream, max_lag_s);
     let is_only = lag_s.len() == 1;
     let at_lag = |lag_s| {
@@ -306,10 +312,16 @@ impl<'a> StreamWithFk<'a> {
     }
 
     fn fit(&self) -> ModelFit {
-        let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
-        let assumption =
-            [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
-        let fits = assumption.flat_map(|assumption| self.fits_under(assumption)).collect();
+        self.fit_under(&[
+            FitAssumption::Nothing,
+            FitAssumption::Tool,
+            FitAssumption::HalfTurn { tool: false },
+            FitAssumption::HalfTurn { tool: true },
+        ])
+    }
+
+    fn fit_under(&self, assumptions: &[FitAssumption]) -> ModelFit {
+        let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
         let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
             samples: self.t_s.len(),

@@ -471,9 +471,14 @@ pub(crate) fn select_from_starts(
             model_after_rounds(observations, state, candidates, start, max_samples, FIRST_ROUNDS)
         })
         .collect();
-    let continued: Vec<SelectedModel> = ranked(first)
+    let mut distinct: Vec<SelectedModel> = Vec::new();
+    for model in ranked(first).into_iter().take(CONTINUED) {
+        if !distinct.iter().any(|better| better.is_at(&model)) {
+            distinct.push(model);
+        }
+    }
+    let continued: Vec<SelectedModel> = distinct
         .into_par_iter()
-        .take(CONTINUED)
         .map(|model| {
             let at_state = SelectionStart::AtState;
             select_model(observations, model.state, candidates, at_state, max_samples)
@@ -563,11 +568,18 @@ impl SelectedModel {
             .collect()
     }
 
+    /// Whether both have the same causes and converge to the same state.
+    fn is_at(&self, other: &Self) -> bool {
+        const MAX_DIFFERENCE: f64 = 1e-6;
+        self.causes == other.causes
+            && (self.state.values() - other.state.values()).amax() < MAX_DIFFERENCE
+            && (self.state.round_frames()).eq(other.state.round_frames())
+    }
+
     fn price(&self) -> f64 {
         let tuned: usize =
             self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
-        let streams = self.state.streams.iter();
-        let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
+        let round = self.state.round_frames().flatten().count();
         // A round frame error (such as 90°) is likelier than an estimated one and costs less.
         price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
     }

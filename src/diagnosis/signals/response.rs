@@ -7,6 +7,7 @@
 use crate::NotObservable;
 use ground::stats::{Measured, median};
 use nalgebra::DMatrix;
+use std::sync::OnceLock;
 
 const MAX_COLUMNS: usize = 6;
 
@@ -21,6 +22,14 @@ pub(crate) struct TimeSeries {
     longest_s: f64,
 }
 
+/// Interval of a series, and the fraction of it that has passed.
+#[derive(Clone, Copy)]
+struct Place {
+    before: usize,
+    part: f64,
+    length_s: f64,
+}
+
 /// Changes over time windows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ResponseChanges {
@@ -30,6 +39,15 @@ pub(crate) struct ResponseChanges {
     pub changes: Vec<[f64; MAX_COLUMNS]>,
     /// Number of columns.
     pub width: usize,
+    /// Computed on first use.
+    pub(super) ends: OnceLock<WindowEnds>,
+}
+
+/// Distinct starts and ends of windows, s, ascending, and the indices of each window's. Overlapping windows share them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct WindowEnds {
+    t_s: Vec<f64>,
+    of_window: Vec<[usize; 2]>,
 }
 
 /// Response to a reference.
@@ -74,8 +92,8 @@ impl TimeSeries {
         }
     }
 
-    /// Cubic Hermite. `None` outside the series and in gaps.
-    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
+    /// `None` outside the series and in gaps.
+    fn place(&self, t_s: f64, cursor: &mut usize) -> Option<Place> {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
@@ -93,7 +111,12 @@ impl TimeSeries {
         if t_s > to_s || length_s > self.longest_s {
             return None;
         }
-        let part = (t_s - from_s) / length_s;
+        Some(Place { before, part: (t_s - from_s) / length_s, length_s })
+    }
+
+    /// Cubic Hermite. `None` outside the series and in gaps.
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
+        let Place { before, part, length_s } = self.place(t_s, cursor)?;
         let mut values = [0.0; MAX_COLUMNS];
         for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
         {
@@ -101,16 +124,6 @@ impl TimeSeries {
             *value = hermite(part, ends, [slope[before] * length_s, slope[before + 1] * length_s]);
         }
         Some(values)
-    }
-
-    fn change(
-        &self,
-        (from_s, to_s): (f64, f64),
-        cursors: &mut [usize; 2],
-    ) -> Option<[f64; MAX_COLUMNS]> {
-        let [first, last] = cursors;
-        let (before, after) = (self.at(from_s, first)?, self.at(to_s, last)?);
-        Some(std::array::from_fn(|column| after[column] - before[column]))
     }
 
     /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
@@ -179,6 +192,18 @@ impl DelayFit {
     }
 }
 
+impl WindowEnds {
+    fn new(windows: &[(f64, f64)]) -> Self {
+        let mut t_s: Vec<f64> = windows.iter().flat_map(|&(from_s, to_s)| [from_s, to_s]).collect();
+        t_s.sort_by(f64::total_cmp);
+        t_s.dedup();
+        let index = |end_s: f64| t_s.partition_point(|t| *t < end_s);
+        let of_window =
+            windows.iter().map(|&(from_s, to_s)| [index(from_s), index(to_s)]).collect();
+        Self { t_s, of_window }
+    }
+}
+
 impl ResponseChanges {
     /// Windows of `window_s` within `span`, s, without gaps, overlapping by half or thinned in very long
     /// series.
@@ -221,11 +246,15 @@ impl ResponseChanges {
         reference: &TimeSeries,
         delay_s: f64,
     ) -> Vec<Option<[f64; MAX_COLUMNS]>> {
-        let mut cursors = [0; 2];
-        let of = |&(from_s, to_s): &(f64, f64)| {
-            reference.change((from_s - delay_s, to_s - delay_s), &mut cursors)
+        let WindowEnds { t_s, of_window } =
+            self.ends.get_or_init(|| WindowEnds::new(&self.windows));
+        let mut cursor = 0;
+        let at: Vec<_> = t_s.iter().map(|t_s| reference.at(t_s - delay_s, &mut cursor)).collect();
+        let change = |&[from, to]: &[usize; 2]| {
+            let (before, after) = (at[from].as_ref()?, at[to].as_ref()?);
+            Some(std::array::from_fn(|column| after[column] - before[column]))
         };
-        self.windows.iter().map(of).collect()
+        of_window.iter().map(change).collect()
     }
 
     fn fit(&self, references: &[Option<[f64; MAX_COLUMNS]>]) -> DelayFit {
@@ -437,6 +466,9 @@ impl ResponseChanges {
         const MIN_LOW_PASS_SHARE: f64 = 0.2;
         const MIN_TIME_CONSTANT_S: f64 = 2e-3;
         const TIME_CONSTANT_STEPS: usize = 24;
+        /// Unexplained share relative to a pure delay, at the best of every second constant. It changes little over the
+        /// steps between, so above it no constant reaches `MAX_LOW_PASS_RATIO`.
+        const MAX_COARSE_RATIO: f64 = 0.9;
         /// In s, and relative to the time constant.
         const REMAINING_DELAY_RESOLUTION: (f64, f64) = (1e-4, 0.02);
         let with = |constant_s: f64| {
@@ -453,10 +485,17 @@ impl ResponseChanges {
             return (0.0, pure.0, pure.1);
         }
         let ratio = (max_delay_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
-        let tried =
-            (0..=TIME_CONSTANT_STEPS).map(|at| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32)));
+        let step = |at: usize| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32));
         let by_residual = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
-        let Some(coarse) = tried.min_by(by_residual) else { return (0.0, pure.0, pure.1) };
+        let every_second = (0..=TIME_CONSTANT_STEPS).step_by(2).map(step).min_by(by_residual);
+        let Some(coarse) = every_second.filter(|best| best.2 < MAX_COARSE_RATIO * pure.1) else {
+            return (0.0, pure.0, pure.1);
+        };
+        let between = (1..TIME_CONSTANT_STEPS).step_by(2).map(step);
+        let coarse = between.min_by(by_residual).map_or(coarse, |other| match other.2 < coarse.2 {
+            true => other,
+            false => coarse,
+        });
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
         let best = finer.min_by(by_residual).unwrap_or(coarse);
         let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1

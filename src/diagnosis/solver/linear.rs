@@ -94,6 +94,12 @@ impl Linear {
         }
     }
 
+    /// Reserves memory for more samples.
+    pub fn reserve(&mut self, samples: usize) {
+        self.residual.iter_mut().for_each(|column| column.reserve(samples));
+        self.design.reserve(samples * 3 * self.kinds() * self.width);
+    }
+
     /// Appends a sample. Returns its derivatives, initially zero.
     pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
         for (column, residual) in self.residual.iter_mut().zip(residuals) {
@@ -127,15 +133,6 @@ impl Linear {
 
     pub fn residual(&self, sample: usize, row: usize) -> f64 {
         self.residual[row / 3][sample][row % 3]
-    }
-
-    /// Derivative by one parameter, and residual, of every row.
-    pub fn along(&self, parameter: usize) -> impl Iterator<Item = (f64, f64)> {
-        let rows = 3 * self.kinds();
-        (0..self.len() * rows).map(move |i| {
-            let (sample, r) = (i / rows, i % rows);
-            (self.row(sample, r)[parameter], self.residual(sample, r))
-        })
     }
 
     /// Residuals after a step, by kind.
@@ -234,11 +231,14 @@ impl Linear {
     pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
         let mut right = vec![0.0; self.width];
         for sample in 0..self.len() {
-            for r in 0..3 * self.kinds() {
-                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
-                let weighted = weights[r / 3].component(sample) * residual;
-                normal.cost += weighted * residual;
-                right.iter_mut().zip(row).for_each(|(right, value)| *right += weighted * value);
+            for (kind, weight) in weights.iter().enumerate() {
+                let (component, residual) = (weight.component(sample), self.residual[kind][sample]);
+                let weighted = residual.map(|residual| component * residual);
+                weighted.iter().zip(residual).for_each(|(w, r)| normal.cost += w * r);
+                let [x, y, z] = self.rows_of(sample, kind);
+                for (((right, x), y), z) in right.iter_mut().zip(x).zip(y).zip(z) {
+                    *right = *right + weighted[0] * x + weighted[1] * y + weighted[2] * z;
+                }
             }
         }
         let squares = self.weighted_squares(weights);

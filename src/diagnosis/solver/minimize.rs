@@ -15,8 +15,8 @@ pub(crate) struct NormalEquations {
     right: DVector<f64>,
     /// `rᵀr`.
     cost: f64,
-    /// Derivatives of one residual.
-    row: Vec<f64>,
+    /// Derivatives of a position or rotation.
+    rows: [Vec<f64>; 3],
 }
 
 impl NormalEquations {
@@ -29,13 +29,13 @@ impl NormalEquations {
         let right = DVector::from_vec(right.into_iter().collect());
         let rows = (0..right.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
         let triangle = rows.map(|(i, j)| matrix(i, j)).collect();
-        Self { triangle, row: vec![0.0; right.len()], right, cost }
+        Self { triangle, rows: Default::default(), right, cost }
     }
 
     /// Equations without residuals.
     pub fn zeros(width: usize) -> Self {
         let triangle = vec![0.0; width * (width + 1) / 2];
-        Self { triangle, right: DVector::zeros(width), cost: 0.0, row: vec![0.0; width] }
+        Self { triangle, right: DVector::zeros(width), cost: 0.0, rows: Default::default() }
     }
 
     /// Adds one residual with its derivatives.
@@ -52,18 +52,35 @@ impl NormalEquations {
         self.cost += residual * residual;
     }
 
-    /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
-    pub fn add_pose(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
-        let mut row = std::mem::take(&mut self.row);
-        for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
-            for axis in 0..3 {
-                for (value, derivative) in row.iter_mut().zip(derivatives) {
-                    *value = weight * derivative[kind][axis];
-                }
-                self.add(&row, weight * residual[kind][axis]);
+    /// Adds three residuals, in one pass over the sums.
+    fn add_three(&mut self, [x, y, z]: [&[f64]; 3], residuals: [f64; 3]) {
+        let mut rest = self.triangle.as_mut_slice();
+        for (i, ((a, b), c)) in x.iter().zip(y).zip(z).enumerate() {
+            let (row, after) = rest.split_at_mut(i + 1);
+            rest = after;
+            if *a == 0.0 && *b == 0.0 && *c == 0.0 {
+                continue;
+            }
+            let right = &mut self.right[i];
+            *right = *right + a * residuals[0] + b * residuals[1] + c * residuals[2];
+            for (((sum, x), y), z) in row.iter_mut().zip(x).zip(y).zip(z) {
+                *sum = *sum + a * x + b * y + c * z;
             }
         }
-        self.row = row;
+        self.cost = residuals.iter().fold(self.cost, |sum, residual| sum + residual * residual);
+    }
+
+    /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
+    pub fn add_pose(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
+        let mut rows = std::mem::take(&mut self.rows);
+        for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
+            for (axis, row) in rows.iter_mut().enumerate() {
+                row.clear();
+                row.extend(derivatives.iter().map(|derivative| weight * derivative[kind][axis]));
+            }
+            self.add_three(rows.each_ref().map(Vec::as_slice), (weight * residual[kind]).into());
+        }
+        self.rows = rows;
     }
 
     /// Sum of squares.

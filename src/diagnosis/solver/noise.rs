@@ -53,11 +53,6 @@ impl Correlation {
     fn width(&self) -> f64 {
         (self.last - self.first + 1) as f64
     }
-
-    fn mean_autoregression(&self, rho: f64) -> f64 {
-        let power = |lag: usize| rho.powi(lag as i32);
-        (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())
-    }
 }
 
 /// Lags 1, 2–3, 4–7 … up to an eighth of the samples. A long correlation of a small share is visible only
@@ -87,6 +82,18 @@ fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Co
     windows.map(correlation).collect()
 }
 
+/// Mean of ρ^lag over the lags of each window.
+fn mean_autoregressions(windows: &[Correlation], rho: f64, means: &mut [f64]) {
+    // Each window starts at twice the first lag of the one before.
+    let mut power = rho;
+    for (at, (window, mean)) in windows.iter().zip(means).enumerate() {
+        let is_last = at + 1 == windows.len();
+        let next = if is_last { rho.powi(window.last as i32 + 1) } else { power * power };
+        *mean = (power - next) / ((1.0 - rho) * window.width());
+        power = next;
+    }
+}
+
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
@@ -101,30 +108,36 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
     let grid = (1..400).map(|i| 1.0 - (0.0025 * f64::from(i)).powi(2) * 0.9975);
     // Means over many lags are more accurate, but coloured noise correlates the lags.
     let weight = |one: &Correlation| one.width().sqrt();
-    let misfit = |share: f64, rho: f64| -> f64 {
-        let residual = |one: &Correlation| one.mean - share * one.mean_autoregression(rho);
-        correlations.iter().map(|one| weight(one) * residual(one).powi(2)).sum()
+    let weights: Vec<f64> = correlations.iter().map(weight).collect();
+    let misfit = |share: f64, expected: &[f64]| -> f64 {
+        let all = correlations.iter().zip(&weights).zip(expected);
+        all.map(|((one, weight), expected)| weight * (one.mean - share * expected).powi(2)).sum()
     };
-    let none = misfit(0.0, 0.0);
+    let mut expected = vec![0.0; correlations.len()];
+    let none = misfit(0.0, &expected);
+    let is_chance = |improvement: f64| improvement * 3.0 * samples as f64 <= MAX_CHANCE_IMPROVEMENT;
+    // Even a perfect fit would be chance.
+    if is_chance(none) {
+        return (0.0, 0.0);
+    }
     let mut best = (0.0, 0.0, none);
     for rho in grid.filter(|&rho| rho <= longest) {
+        mean_autoregressions(correlations, rho, &mut expected);
         let (mut num, mut den) = (0.0, 0.0);
-        for one in correlations {
-            let power = one.mean_autoregression(rho);
-            num += weight(one) * one.mean * power;
-            den += weight(one) * power * power;
+        for ((one, weight), power) in correlations.iter().zip(&weights).zip(&expected) {
+            num += weight * one.mean * power;
+            den += weight * power * power;
         }
         if den <= 0.0 {
             continue;
         }
         let share = (num / den).clamp(0.0, 1.0);
-        let cost = misfit(share, rho);
+        let cost = misfit(share, &expected);
         if cost < best.2 {
             best = (share, rho, cost);
         }
     }
-    let is_chance = (none - best.2) * 3.0 * samples as f64 <= MAX_CHANCE_IMPROVEMENT;
-    if is_chance { (0.0, 0.0) } else { (best.0, best.1) }
+    if is_chance(none - best.2) { (0.0, 0.0) } else { (best.0, best.1) }
 }
 
 #[cfg(test)]

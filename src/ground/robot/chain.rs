@@ -355,23 +355,42 @@ impl Chain {
         const POSITIONS: usize = 48;
         let between = |[lower, upper]: [f64; 2], part: f64| lower + part * (upper - lower);
         let mut q: Vec<f64> = ranges.iter().map(|&range| between(range, start)).collect();
-        let mut best_m = self.reach_m(&q);
-        for joint in (0..SWEEPS).flat_map(|_| 0..ranges.len()) {
-            let mut best_position = q[joint];
-            for index in 0..POSITIONS {
-                q[joint] = between(ranges[joint], index as f64 / (POSITIONS - 1) as f64);
-                let reach_m = self.reach_m(&q);
-                if reach_m > best_m {
-                    (best_m, best_position) = (reach_m, q[joint]);
+        let mut best_m = self.walk(&q, |_, _, _| ()).translation.norm();
+        for _ in 0..SWEEPS {
+            let before_m = best_m;
+            for joint in 0..ranges.len() {
+                let mut best_position = q[joint];
+                let mut reach_m = self.reach_by_joint(&q, joint);
+                for index in 0..POSITIONS {
+                    let position = between(ranges[joint], index as f64 / (POSITIONS - 1) as f64);
+                    let reach_m = reach_m(position);
+                    if reach_m > best_m {
+                        (best_m, best_position) = (reach_m, position);
+                    }
                 }
+                q[joint] = best_position;
             }
-            q[joint] = best_position;
+            if best_m == before_m {
+                break;
+            }
         }
         best_m
     }
 
-    fn reach_m(&self, q: &[f64]) -> f64 {
-        self.walk(q, |_, _, _| ()).translation.norm()
+    /// Distance of the tip from the base as a function of one joint's position, m. The steps before and after the joint's
+    /// motions are walked once.
+    fn reach_by_joint<'a>(&'a self, q: &[f64], joint: usize) -> impl FnMut(f64) -> f64 + use<'a> {
+        let is_moved = |step: &Step| step.coordinate == joint;
+        let first = self.steps.iter().position(is_moved).unwrap_or(0);
+        let after = self.steps.iter().rposition(is_moved).map_or(0, |last| last + 1);
+        let base_from_first = walk(&self.steps[..first], q, |_, _, _| ());
+        let tip = walk(&self.steps[after..], q, |_, _, _| ()) * self.step_from_tip;
+        let mut q = q.to_vec();
+        move |position| {
+            q[joint] = position;
+            let moved = walk(&self.steps[first..after], &q, |_, _, _| ());
+            (base_from_first * (moved * tip.translation)).norm()
+        }
     }
 
     fn range(&self, joint: usize) -> [f64; 2] {
@@ -399,21 +418,27 @@ impl Chain {
     /// Calls `visit` with each step and its frame in base before and after the motion; returns
     /// `base_from_tip`.
     #[inline]
-    fn walk(&self, q: &[f64], mut visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
+    fn walk(&self, q: &[f64], visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
         assert_eq!(q.len(), self.dof(), "one position per coordinate");
-        let mut base_from_here = Rigid::IDENTITY;
-        for step in &self.steps {
-            let before = base_from_here * step.previous_from_step;
-            let motion = step.factor * q[step.coordinate] + step.offset;
-            base_from_here = if step.slides {
-                before.slid_along_z(motion)
-            } else {
-                before.turned_about_z(motion)
-            };
-            visit(step, &before, &base_from_here);
-        }
-        base_from_here * self.step_from_tip
+        walk(&self.steps, q, visit) * self.step_from_tip
     }
+}
+
+/// Last frame of `steps` in the frame before them; see [`Chain::walk`].
+#[inline]
+fn walk(steps: &[Step], q: &[f64], mut visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
+    let mut first_from_here = Rigid::IDENTITY;
+    for (index, step) in steps.iter().enumerate() {
+        let before = match index {
+            0 => step.previous_from_step,
+            _ => first_from_here * step.previous_from_step,
+        };
+        let motion = step.factor * q[step.coordinate] + step.offset;
+        first_from_here =
+            if step.slides { before.slid_along_z(motion) } else { before.turned_about_z(motion) };
+        visit(step, &before, &first_from_here);
+    }
+    first_from_here
 }
 
 /// A zero quaternion is no rotation.
@@ -499,6 +524,14 @@ impl From<Pose> for Rigid {
             rotation: pose.rotation.to_rotation_matrix().into_inner(),
             translation: pose.translation.vector,
         }
+    }
+}
+
+impl std::ops::Mul<Vec3> for Rigid {
+    type Output = Vec3;
+
+    fn mul(self, point: Vec3) -> Vec3 {
+        self.rotation * point + self.translation
     }
 }
 

@@ -134,6 +134,11 @@ fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
     })
 }
 
+/// After the last separator.
+pub(super) fn last_word(name: &str) -> &str {
+    name.rsplit(is_separator).next().unwrap_or(name)
+}
+
 fn is_separator(c: char) -> bool {
     matches!(c, '_' | '-' | '/' | '.' | ':')
 }

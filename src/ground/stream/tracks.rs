@@ -66,12 +66,14 @@ impl JointTrack {
         let (s2, s3) = (s * s, s * s * s);
         let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
         let (h01, h11) = (3.0 * s2 - 2.0 * s3, s3 - s2);
-        let (a, b) = (left * self.dof, (left + 1) * self.dof);
-        for j in 0..self.dof {
-            let (qa, qb) = (self.q[a + j], self.q[b + j]);
-            let (va, vb) = (self.qd[a + j], self.qd[b + j]);
-            q[j] = h00 * qa + h10 * h * va + h01 * qb + h11 * h * vb;
-            qd[j] = va + s * (vb - va);
+        let rows = left * self.dof..(left + 2) * self.dof;
+        let (qa, qb) = self.q[rows.clone()].split_at(self.dof);
+        let (va, vb) = self.qd[rows].split_at(self.dof);
+        let (h10, h11) = (h10 * h, h11 * h);
+        let ends = qa.iter().zip(qb).zip(va.iter().zip(vb));
+        for ((q, qd), ((qa, qb), (va, vb))) in q.iter_mut().zip(qd).zip(ends) {
+            *q = h00 * qa + h10 * va + h01 * qb + h11 * vb;
+            *qd = va + s * (vb - va);
         }
         true
     }

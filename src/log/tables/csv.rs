@@ -59,18 +59,29 @@ pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// Delimiters within quotation marks are text.
 pub(super) fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
+    let mut cells = Vec::new();
+    split_cells(line, delimiter, &mut cells);
+    cells
+}
+
+/// Replaces `cells` by those of the line.
+fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
+    cells.clear();
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
-        return words.map(unquoted).collect();
+        return cells.extend(words.map(unquoted));
     }
     let mut quoted = false;
     let split = line.split(|byte| {
         quoted ^= *byte == b'"';
         *byte == delimiter && !quoted
     });
-    let cells = split.map(unquoted).collect();
+    cells.extend(split.map(unquoted));
     // An unmatched quotation mark does not quote.
-    if quoted { rtde::cells(line, delimiter).collect() } else { cells }
+    if quoted {
+        cells.clear();
+        cells.extend(rtde::cells(line, delimiter));
+    }
 }
 
 fn unquoted(cell: &[u8]) -> &[u8] {
@@ -261,6 +272,7 @@ pub(super) fn read_rows(
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
     let mut line_numbers = Vec::new();
+    let (mut row, mut numbers): (Vec<&[u8]>, Vec<f64>) = Default::default();
     let ends_in_line = bytes.last() == Some(&b'\n');
     let mut malformed: Option<(u64, String)> = None;
     for (offset, line, text) in lines(&bytes[rows_at..]) {
@@ -268,9 +280,13 @@ pub(super) fn read_rows(
             continue;
         }
         let line = first_line + line - 1;
-        let mut row = if text.len() > MAX_LINE_BYTES { Vec::new() } else { cells(text, delimiter) };
+        match text.len() > MAX_LINE_BYTES {
+            true => row.clear(),
+            false => split_cells(text, delimiter, &mut row),
+        }
         row.truncate(row.len() - trailing_empty_cells(&row).min(row.len().saturating_sub(width)));
-        let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
+        numbers.clear();
+        numbers.extend(row.iter().map(|cell| number(cell, delimiter)));
         let texts_in_row =
             row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
         let is_header = || names.as_ref().is_some_and(|names| repeats_names(&row, names));
@@ -308,10 +324,10 @@ pub(super) fn read_rows(
             billionths[at].push(decimal_billionths(row[at], delimiter != b','));
         }
         for (((column, known), cell), own) in
-            values.iter_mut().zip(&mut texts).zip(row).zip(numbers)
+            values.iter_mut().zip(&mut texts).zip(&row).zip(&numbers)
         {
-            column.push(own);
-            known.get_or_insert(cell);
+            column.push(*own);
+            known.get_or_insert(*cell);
         }
     }
     if let Some((count, first)) = malformed {
@@ -413,7 +429,16 @@ pub(super) fn decimal_billionths(cell: &[u8], decimal_comma: bool) -> Option<i12
     };
     let is_mark = |c: char| c == '.' || (decimal_comma && c == ',');
     let (whole, fraction) = mantissa.split_once(is_mark).unwrap_or((mantissa, ""));
-    let digits: i128 = format!("{whole}{fraction}").parse().ok()?;
+    let (sign, whole) = match whole.strip_prefix('-') {
+        Some(whole) => (-1, whole),
+        None => (1, whole.strip_prefix('+').unwrap_or(whole)),
+    };
+    let mut digits = whole.bytes().chain(fraction.bytes()).peekable();
+    digits.peek()?;
+    let digits = digits.try_fold(0_i128, |sum, digit| {
+        let digit = digit.is_ascii_digit().then(|| sign * i128::from(digit - b'0'))?;
+        sum.checked_mul(10)?.checked_add(digit)
+    })?;
     if exponent.abs() > MAX_EXPONENT {
         return None;
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{TableTopic, names};
 use crate::Repeat;
-use ground::stream::{Columns, JointColumns};
+use ground::stream::{Columns, JointColumn, JointColumns};
 
 /// Minimum rows of an episode, and minimum rows with a change in a repeated column.
 const MIN_ROWS: usize = 20;
@@ -24,15 +24,16 @@ impl RepeatCounts {
         let measured: Vec<(&str, &Columns)> = episode
             .iter()
             .filter_map(|found| Some((found.topic.as_str(), found.columns.as_ref()?)))
-            .filter(|(_, columns)| rows(columns).len() >= MIN_ROWS)
+            .filter(|(_, columns)| ValueRows::from_columns(columns).len() >= MIN_ROWS)
             .take(MAX_TOPICS)
             .collect();
         if measured.is_empty() {
             return;
         }
         self.episodes += 1;
-        let all: Vec<Vec<&[f64]>> = measured.iter().map(|(_, columns)| rows(columns)).collect();
-        let moves = |at: usize| count_changes(&all[at]) >= MIN_CHANGES;
+        let all: Vec<ValueRows<'_>> =
+            measured.iter().map(|(_, columns)| ValueRows::from_columns(columns)).collect();
+        let moves = |at: usize| all[at].changes() >= MIN_CHANGES;
         let is_arm = |columns: &Columns| matches!(columns, Columns::Joints(_));
         let arm_moves = (0..measured.len()).any(|at| is_arm(measured[at].1) && moves(at));
         for (at, (topic, columns)) in measured.iter().enumerate() {
@@ -42,11 +43,11 @@ impl RepeatCounts {
                 of,
             };
             if !moves(at) {
-                let is_still = count_changes(&all[at]) == 0 && arm_moves && !is_arm(columns);
+                let is_still = all[at].changes() == 0 && arm_moves && !is_arm(columns);
                 self.add(is_still.then(|| of(None, None)));
                 continue;
             }
-            let first = (0..at).find(|&other| are_rows_equal(&all[at], &all[other]));
+            let first = (0..at).find(|&other| all[at].equals(&all[other]));
             self.add(first.map(|other| of(None, Some(measured[other].0.to_owned()))));
             if let Columns::Joints(joints) = columns {
                 for (joint, other) in repeated_joints(joints) {
@@ -69,26 +70,49 @@ impl RepeatCounts {
 }
 
 /// Rows, or the values of each joint; empty for other columns.
-fn rows(columns: &Columns) -> Vec<&[f64]> {
-    match columns {
-        Columns::Array(array) => array.values.chunks_exact(array.width.max(1)).collect(),
-        Columns::Poses(poses) => {
-            poses.iter().flat_map(|poses| poses.xyz.iter().map(|xyz| xyz.as_slice())).collect()
+struct ValueRows<'a> {
+    parts: Vec<&'a [f64]>,
+    /// Values per row.
+    width: usize,
+}
+
+impl<'a> ValueRows<'a> {
+    fn from_columns(columns: &'a Columns) -> Self {
+        match columns {
+            Columns::Array(array) => Self { parts: vec![&array.values], width: array.width.max(1) },
+            Columns::Poses(poses) => Self {
+                parts: poses.iter().map(|poses| poses.xyz.as_flattened()).collect(),
+                width: 3,
+            },
+            Columns::Joints(joints) => {
+                let joints = joints.joints.iter();
+                Self { parts: joints.map(|joint| joint.position.as_slice()).collect(), width: 1 }
+            }
+            _ => Self { parts: Vec::new(), width: 1 },
         }
-        Columns::Joints(joints) => {
-            let all = joints.joints.iter().flat_map(|joint| joint.position.chunks(1));
-            all.collect()
-        }
-        _ => Vec::new(),
     }
-}
 
-fn count_changes(rows: &[&[f64]]) -> usize {
-    rows.windows(2).filter(|pair| !are_bitwise_equal(pair[0], pair[1])).count()
-}
+    fn of_joint(joint: &'a JointColumn) -> Self {
+        Self { parts: vec![&joint.position], width: 1 }
+    }
 
-fn are_rows_equal(a: &[&[f64]], b: &[&[f64]]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| are_bitwise_equal(a, b))
+    fn len(&self) -> usize {
+        self.parts.iter().map(|part| part.len() / self.width).sum()
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &'a [f64]> {
+        self.parts.iter().flat_map(|part| part.chunks_exact(self.width))
+    }
+
+    /// Number of rows that differ from the previous one.
+    fn changes(&self) -> usize {
+        self.iter().zip(self.iter().skip(1)).filter(|(a, b)| !are_bitwise_equal(a, b)).count()
+    }
+
+    fn equals(&self, other: &Self) -> bool {
+        let mut rows = self.iter().zip(other.iter());
+        self.len() == other.len() && rows.all(|(a, b)| are_bitwise_equal(a, b))
+    }
 }
 
 /// Two measurements differ at least by noise.
@@ -100,13 +124,11 @@ fn are_bitwise_equal(a: &[f64], b: &[f64]) -> bool {
 fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let is_finger = |name: &str| names::is_gripper(&names::split_words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();
-    let own: Vec<Vec<&[f64]>> =
-        arm.iter().map(|joint| joint.position.chunks(1).collect()).collect();
+    let own: Vec<ValueRows<'_>> = arm.iter().map(|joint| ValueRows::of_joint(joint)).collect();
     let mut found = Vec::new();
     for (at, joint) in arm.iter().enumerate() {
-        let count = count_changes(&own[at]);
-        let other =
-            (0..at).find(|&other| count >= MIN_CHANGES && are_rows_equal(&own[at], &own[other]));
+        let count = own[at].changes();
+        let other = (0..at).find(|&other| count >= MIN_CHANGES && own[at].equals(&own[other]));
         if other.is_some() || count == 0 {
             found.push((joint.name.clone(), other.map(|other| arm[other].name.clone())));
         }

@@ -86,7 +86,7 @@ impl CalibrationResult {
         let own = Calibration::from_text(&text, "").ok()?;
         let parent = self.nominal.joint(self.joints.first()?)?.parent;
         let is_as_described = self.nominal.link_name(parent).ends_with("base_link_inertia")
-            && catalogue::entries().iter().any(|ur| ur.calibrated("", &own).is_ok());
+            && catalogue::entries().any(|ur| ur.calibrated("", &own).is_ok());
         is_as_described.then(|| self.calibration.robot.ur_calibration(prefix, &self.hash()))?
     }
 

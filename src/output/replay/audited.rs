@@ -7,7 +7,7 @@ use crate::audit::Audited;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::geometry::Pose;
 use crate::places::PathRegistry;
-use crate::report::{NoteRow, Trouble};
+use crate::report::{NoteRow, Plots, Trouble};
 use crate::run::{Arm, PoseSource, Run};
 use crate::time::Stamp;
 
@@ -31,7 +31,7 @@ impl Audited {
         places.check()?;
         let is_pictured = self.report.figures.is_some();
         if !is_pictured {
-            self.report.figures = Some(self.figures());
+            self.report.figures = Some(self.figures(Plots::All));
         }
         let Self { report, run, evidence, .. } = self;
         let arms = run.arms.iter().zip(&evidence.robots);

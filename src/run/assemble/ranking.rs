@@ -87,17 +87,7 @@ impl PoseRanking<'_> {
     /// Ranking by necessary assumptions, best first. `None` if no stream distinguishes the models. Uses a
     /// stream's frame only if every model locates it.
     pub fn rank(&self, models: &[&LogModel]) -> Option<ModelRanking> {
-        let none = BTreeSet::new();
-        let arms: Vec<Option<Arm>> = models.iter().map(|model| self.build_arm(model)).collect();
-        let mut entries: Vec<FittedModel> =
-            arms.into_par_iter().map(|arm| self.fit_arm(arm, &none)).collect();
-        let unknown = entries.iter().flat_map(|entry| entry.streams_by_frame(false));
-        let free: BTreeSet<usize> = unknown.collect();
-        entries.par_iter_mut().for_each(|entry| {
-            if entry.streams_by_frame(true).any(|stream| free.contains(&stream)) {
-                *entry = self.fit_arm(entry.arm.take(), &free);
-            }
-        });
+        let mut entries = self.fit_models(models, FitHypotheses::Faultless);
         // Fit faults only for models that could become the best.
         let near = could_be_best(&entries);
         entries.par_iter_mut().zip(near).for_each(|(FittedModel { arm, fits }, is_near)| {
@@ -108,7 +98,27 @@ impl PoseRanking<'_> {
                 it.fit = all.unwrap_or_else(|| it.fit.clone());
             });
         });
-        let ranks = rank_models(&entries);
+        self.ranking(&entries)
+    }
+
+    /// Fits of the models, with the frame of a stream only if every model locates it.
+    fn fit_models(&self, models: &[&LogModel], tried: FitHypotheses) -> Vec<FittedModel> {
+        let none = BTreeSet::new();
+        let arms: Vec<Option<Arm>> = models.iter().map(|model| self.build_arm(model)).collect();
+        let mut entries: Vec<FittedModel> =
+            arms.into_par_iter().map(|arm| self.fit_arm(arm, &none, tried)).collect();
+        let unknown = entries.iter().flat_map(|entry| entry.streams_by_frame(false));
+        let free: BTreeSet<usize> = unknown.collect();
+        entries.par_iter_mut().for_each(|entry| {
+            if entry.streams_by_frame(true).any(|stream| free.contains(&stream)) {
+                *entry = self.fit_arm(entry.arm.take(), &free, tried);
+            }
+        });
+        entries
+    }
+
+    fn ranking(&self, entries: &[FittedModel]) -> Option<ModelRanking> {
+        let ranks = rank_models(entries);
         let ranked = ranks.into_iter().map(|rank| {
             let (stream, ScoredFit { fit: hypothesis, .. }) = rank.decisive;
             let fit = entries[rank.model].fit_to(stream);
@@ -140,6 +150,12 @@ impl PoseRanking<'_> {
         clues: &ModelClues<'_>,
     ) -> Option<CompetingModel> {
         let path = self.only_path(model)?;
+        // More hypotheses only lower the score.
+        let as_logged = self.ranking(&self.fit_models(&[model], FitHypotheses::Nothing));
+        let as_logged = as_logged.as_ref().and_then(|ranking| ranking.models.first());
+        if as_logged.is_some_and(|it| it.is_unbeatable) {
+            return None;
+        }
         let own = self.rank(&[model])?;
         let own = own.models.first()?;
         if own.is_unbeatable {
@@ -247,7 +263,12 @@ impl PoseRanking<'_> {
     }
 
     /// Fits an arm to the streams, without the frames of those in `free`.
-    fn fit_arm(&self, arm: Option<Arm>, free: &BTreeSet<usize>) -> FittedModel {
+    fn fit_arm(
+        &self,
+        arm: Option<Arm>,
+        free: &BTreeSet<usize>,
+        tried: FitHypotheses,
+    ) -> FittedModel {
         let streams = &self.assembly.streams;
         let Some(arm) = arm else { return FittedModel::default() };
         // Longest streams first, without copies.
@@ -264,7 +285,7 @@ impl PoseRanking<'_> {
                 continue;
             }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            match self.fit_of(&arm, &source, knows_frame, FitHypotheses::Faultless) {
+            match self.fit_of(&arm, &source, knows_frame, tried) {
                 Some(fit) => {
                     fits.push(StreamFit { stream, source, is_frame_known: knows_frame, fit })
                 }

@@ -157,7 +157,7 @@ impl<'a> ColumnSearch<'a> {
         let robots = match shared {
             _ if !named.is_empty() => named,
             Some(shared) if shared.is_determined() => shared.robots(),
-            _ => catalogue::entries().iter().collect(),
+            _ => catalogue::entries().collect(),
         };
         let arms = robots.into_iter().flat_map(|robot| {
             arm_chains(robot).into_iter().map(|chain| ArmModel { name: robot.name.clone(), chain })

@@ -1,12 +1,14 @@
 //! Arms in embedded files, one per vendor, with source and licence.
+//!
+//! Parsing all of them takes as long as auditing a short log, so each arm is parsed on first use.
 
-use std::sync::LazyLock;
+use std::sync::{LazyLock, OnceLock};
 
 use serde::Deserialize;
 
 use super::Robot;
 use super::error::RobotError;
-use super::names::NameMatch;
+use super::names::{NameMatch, last_word};
 use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
@@ -31,7 +33,7 @@ pub(super) const VENDORS: [(&str, &str); 16] = [
 
 #[derive(Deserialize)]
 struct Vendor {
-    robot: Vec<RobotTable>,
+    robot: [RobotTable; 1],
 }
 
 /// Catalogue arm whose joint names match a log.
@@ -50,19 +52,59 @@ impl Candidate {
     }
 }
 
+/// Text of one arm, and the arm once it is parsed.
+struct Entry {
+    text: &'static str,
+    /// Fixed joints, too.
+    joint_names: Vec<&'static str>,
+    robot: OnceLock<Robot>,
+}
+
+static ENTRIES: LazyLock<Vec<Entry>> = LazyLock::new(|| {
+    let texts = VENDORS.iter().flat_map(|(_, text)| arm_texts(text));
+    texts.map(Entry::new).collect()
+});
+
+impl Entry {
+    fn new(text: &'static str) -> Self {
+        let name = |line: &'static str| line.strip_prefix("name = \"")?.strip_suffix('"');
+        Self { text, joint_names: text.lines().filter_map(name).collect(), robot: OnceLock::new() }
+    }
+
+    fn robot(&self) -> &Robot {
+        self.robot.get_or_init(|| parse_arm(self.text).expect("the embedded catalogue is valid"))
+    }
+
+    /// Whether the text contains the quoted word, as it does for a name or alias.
+    fn contains_word(&self, word: &str) -> bool {
+        self.text.contains(&format!("\"{word}\""))
+    }
+
+    /// Whether at least two joints may have a logged name: one ends with the last word of the other, whatever the
+    /// prefixes.
+    fn may_have_joints<S: AsRef<str>>(&self, logged: &[S]) -> bool {
+        let may_be =
+            |joint: &&&str| logged.iter().any(|name| joint.ends_with(last_word(name.as_ref())));
+        self.joint_names.iter().filter(may_be).nth(1).is_some()
+    }
+}
+
+/// Text of each `[[robot]]` table.
+fn arm_texts(vendor: &str) -> impl Iterator<Item = &str> {
+    const HEADER: &str = "\n[[robot]]\n";
+    let starts: Vec<usize> = vendor.match_indices(HEADER).map(|(start, _)| start).collect();
+    let ends: Vec<usize> = starts.iter().skip(1).copied().chain([vendor.len()]).collect();
+    starts.into_iter().zip(ends).map(|(start, end)| &vendor[start..end])
+}
+
 /// All arms, by vendor.
-pub fn entries() -> &'static [Robot] {
-    static ENTRIES: LazyLock<Vec<Robot>> = LazyLock::new(|| {
-        let tables = VENDORS.iter().map(|(file, text)| read_vendor(file, text));
-        let robots: Result<Vec<_>, _> = tables.collect();
-        robots.expect("the embedded catalogue is valid").concat()
-    });
-    &ENTRIES
+pub fn entries() -> impl Iterator<Item = &'static Robot> + Clone {
+    ENTRIES.iter().map(Entry::robot)
 }
 
 /// Names of all arms, by vendor.
 pub fn names() -> impl Iterator<Item = &'static str> {
-    entries().iter().map(|robot| robot.name.as_str())
+    entries().map(|robot| robot.name.as_str())
 }
 
 /// Finds an arm by name or alias, ignoring case; `-` and spaces are `_`. Vendor and suffix may be omitted
@@ -80,8 +122,9 @@ pub fn find(name: &str) -> Option<&'static Robot> {
             makers.filter_map(|(at, _)| robot.name[at + 1..].strip_prefix(&normalized_name));
         is_model && ends.any(|rest| rest.is_empty() || rest.starts_with('_'))
     };
-    entries().iter().find(is_called).or_else(|| {
-        let mut short = entries().iter().filter(is_short_for);
+    let mentioned = ENTRIES.iter().filter(|entry| entry.contains_word(&normalized_name));
+    mentioned.map(Entry::robot).find(is_called).or_else(|| {
+        let mut short = entries().filter(is_short_for);
         short.next().filter(|_| short.next().is_none())
     })
 }
@@ -90,7 +133,7 @@ pub fn find(name: &str) -> Option<&'static Robot> {
 /// it precede similar ones, with or without vendor.
 pub fn nearest_names(name: &str) -> Vec<&'static str> {
     let normalized_name = normalised(name);
-    let aliases = || entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
+    let aliases = || entries().flat_map(|robot| &robot.aliases).map(String::as_str);
     let known = || names().chain(aliases());
     let contains_name =
         |known: &&str| normalized_name.len() > 1 && known.contains(normalized_name.as_str());
@@ -118,8 +161,10 @@ pub fn nearest_names(name: &str) -> Vec<&'static str> {
 /// characters. Two arms in one log yield two candidates. Many arms have names such as `joint_1`; equal
 /// candidates keep the catalogue's order, and only the motion distinguishes them.
 pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
-    let mut candidates: Vec<Candidate> = entries()
+    let mut candidates: Vec<Candidate> = ENTRIES
         .iter()
+        .filter(|entry| entry.may_have_joints(logged))
+        .map(Entry::robot)
         .flat_map(|robot| {
             let matches = robot.match_joint_names(logged);
             matches.into_iter().map(move |names| Candidate { robot, names })
@@ -140,8 +185,41 @@ fn normalised(name: &str) -> String {
     name.trim().to_lowercase().replace(['-', ' '], "_")
 }
 
-fn read_vendor(file: &str, text: &str) -> Result<Vec<Robot>, RobotError> {
-    let vendor: Vendor = parse(text, file)?;
-    let robots = vendor.robot.into_iter().map(|table| table.into_robot("catalogue"));
-    robots.collect::<Result<_, _>>().map_err(|located| RobotError::located(file, text, located))
+fn parse_arm(text: &str) -> Result<Robot, RobotError> {
+    let Vendor { robot: [table] } = parse(text, "catalogue")?;
+    table.into_robot("catalogue").map_err(|located| RobotError::located("catalogue", text, located))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_arm_is_parsed_alone() {
+        for entry in ENTRIES.iter() {
+            let arm = parse_arm(entry.text).unwrap();
+            assert!(entry.contains_word(&arm.name) && find(&arm.name) == Some(entry.robot()));
+            assert!(arm.aliases.iter().all(|alias| entry.contains_word(alias)), "{}", arm.name);
+        }
+    }
+
+    #[test]
+    fn the_arms_that_are_not_parsed_do_not_match() {
+        let prefixes = ["", "left_", "left/", "robot1_left_"];
+        for arm in entries() {
+            let joints = || arm.joints().iter().map(|joint| &joint.name);
+            for prefix in prefixes {
+                let logged: Vec<String> = joints().map(|name| format!("{prefix}{name}")).collect();
+                let stems: Vec<String> = joints()
+                    .map(|name| format!("{prefix}{}", name.rsplit('_').next().unwrap()))
+                    .collect();
+                for logged in [logged, stems] {
+                    for entry in ENTRIES.iter().filter(|entry| !entry.may_have_joints(&logged)) {
+                        let matches = entry.robot().match_joint_names(&logged);
+                        assert!(matches.iter().all(|it| 2 * it.matched < it.joints), "{logged:?}");
+                    }
+                }
+            }
+        }
+    }
 }
