@@ -50,7 +50,8 @@ def count(log: str) -> str:
 def info(log: str) -> str:
     import subprocess
 
-    return subprocess.run(["pymcap-cli", "info", log], check=True, capture_output=True, text=True).stdout
+    command = [Path(sys.executable).with_name("pymcap-cli"), "info", log]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 if __name__ == "__main__":

@@ -22,14 +22,6 @@ pub(crate) struct TimeSeries {
     longest_s: f64,
 }
 
-/// Interval of a series, and the fraction of it that has passed.
-#[derive(Clone, Copy)]
-struct Place {
-    before: usize,
-    part: f64,
-    length_s: f64,
-}
-
 /// Changes over time windows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ResponseChanges {
@@ -92,8 +84,8 @@ impl TimeSeries {
         }
     }
 
-    /// `None` outside the series and in gaps.
-    fn place(&self, t_s: f64, cursor: &mut usize) -> Option<Place> {
+    /// Cubic Hermite. `None` outside the series and in gaps.
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
@@ -111,12 +103,7 @@ impl TimeSeries {
         if t_s > to_s || length_s > self.longest_s {
             return None;
         }
-        Some(Place { before, part: (t_s - from_s) / length_s, length_s })
-    }
-
-    /// Cubic Hermite. `None` outside the series and in gaps.
-    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
-        let Place { before, part, length_s } = self.place(t_s, cursor)?;
+        let part = (t_s - from_s) / length_s;
         let mut values = [0.0; MAX_COLUMNS];
         for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
         {

@@ -91,7 +91,7 @@ impl Entry {
 
 /// Text of each `[[robot]]` table.
 fn arm_texts(vendor: &str) -> impl Iterator<Item = &str> {
-    const HEADER: &str = "\n[[robot]]\n";
+    const HEADER: &str = "\n[[robot]]";
     let starts: Vec<usize> = vendor.match_indices(HEADER).map(|(start, _)| start).collect();
     let ends: Vec<usize> = starts.iter().skip(1).copied().chain([vendor.len()]).collect();
     starts.into_iter().zip(ends).map(|(start, end)| &vendor[start..end])
