@@ -109,17 +109,16 @@ fn diagnose_with_varying_causes(
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
     let by_frames = diagnose_with_frame_changes(run, constant);
+    let by_compliance = diagnose_scale_as_compliance(run, constant)
+        .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let is_sufficient = |it: &ArmDiagnosis| !it.streams.iter().any(has_slow_residual);
     let is_explained = |it: &ArmDiagnosis| {
         let streams = it.streams.iter().zip(run.streams);
         streams.into_iter().all(|(found, stream)| is_explained_by_links(found, stream))
     };
-    if by_frames.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it)) {
-        return by_frames.map(|it| (it, false));
-    }
-    let by_compliance = diagnose_scale_as_compliance(run, constant)
-        .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
-    if is_within_links {
+    let are_frames_enough =
+        by_frames.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it));
+    if is_within_links || are_frames_enough {
         return Some((likeliest(by_compliance.into_iter().chain(by_frames))?, false));
     }
     // Backlash with few reversals resembles a changing zero or frame.

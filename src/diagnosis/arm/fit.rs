@@ -139,6 +139,25 @@ pub(super) fn fit(
     Some(ArmFit { model, candidates, deviations })
 }
 
+impl ArmFit {
+    /// The state, with frames that are no cause exactly the identity.
+    pub fn exact_state(&self) -> State {
+        let Self { model, candidates, .. } = self;
+        let is_cause =
+            |cause: Cause| model.causes.contains(&cause) || candidates.always.contains(&cause);
+        let mut state = model.state.clone();
+        for (s, stream) in state.streams.iter_mut().enumerate() {
+            if !is_cause(Cause::Reference(s)) && stream.round_reference.is_none() {
+                stream.reference = Pose::identity();
+            }
+            if !is_cause(Cause::Tool(s)) && stream.round_tool.is_none() {
+                stream.tool = Pose::identity();
+            }
+        }
+        state
+    }
+}
+
 /// Drops causes that usual link deviations imitate in stream `s`, if a nominal model explains the residual.
 fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: usize) -> ArmFit {
     let ArmFit { model, candidates, .. } = &fitted;
@@ -146,19 +165,8 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     if imitable.is_empty() {
         return fitted;
     }
-    let is_always_or_selected =
-        |cause: Cause| model.causes.contains(&cause) || candidates.always.contains(&cause);
     let without_causes = |causes: &[Cause]| {
-        let mut state = model.state.clone();
-        for (s, stream) in state.streams.iter_mut().enumerate() {
-            // A frame that does not count as a cause must be exactly the identity.
-            if !is_always_or_selected(Cause::Reference(s)) && stream.round_reference.is_none() {
-                stream.reference = Pose::identity();
-            }
-            if !is_always_or_selected(Cause::Tool(s)) && stream.round_tool.is_none() {
-                stream.tool = Pose::identity();
-            }
-        }
+        let mut state = fitted.exact_state();
         causes.iter().for_each(|cause| cause.remove_from(&mut state));
         state
     };

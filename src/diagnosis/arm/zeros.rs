@@ -2,6 +2,7 @@ use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
+use crate::model::measurement::State;
 use crate::selection::held_out::HeldOut;
 use crate::selection::link_deviations::std_errors_of_zeros;
 use crate::selection::model_selection::Cause;
@@ -94,24 +95,22 @@ pub(super) fn joint_offsets(
 
 /// Standard errors of the selected zeros if link deviations may hide in the noise, by joint column. The stream with the
 /// smallest ones counts.
-fn std_errors_beside_links(
-    ArmFit { model, deviations, .. }: &ArmFit,
-    decoded: &[&DecodedStream],
-) -> BTreeMap<usize, f64> {
+fn std_errors_beside_links(fitted: &ArmFit, decoded: &[&DecodedStream]) -> BTreeMap<usize, f64> {
     let zero = |cause: &Cause| match *cause {
         Cause::Zero(joint) => Some(joint),
         _ => None,
     };
-    let columns: Vec<usize> = model.causes.iter().filter_map(zero).collect();
+    let columns: Vec<usize> = fitted.model.causes.iter().filter_map(zero).collect();
     let mut smallest = BTreeMap::new();
-    if columns.is_empty() || deviations.is_some() {
+    if columns.is_empty() || fitted.deviations.is_some() {
         return smallest;
     }
-    let streams = decoded.iter().zip(&model.state.streams);
+    let State { offsets, streams } = fitted.exact_state();
+    let streams = decoded.iter().zip(&streams);
     for (DecodedStream { observations, .. }, state) in
         streams.filter(|(decoded, _)| !decoded.observations.chain.is_floating())
     {
-        let found = std_errors_of_zeros(observations, state, &model.state.offsets, &columns);
+        let found = std_errors_of_zeros(observations, state, &offsets, &columns);
         for (&column, std_error) in columns.iter().zip(found) {
             let Some(std_error) = std_error else { continue };
             let smallest = smallest.entry(column).or_insert(std_error);

@@ -19,7 +19,7 @@ use crate::solver::linear::Linear;
 use crate::solver::robust::sandwich;
 use crate::{ArmDiagnosis, FrameEstimate, PoseDiagnosis};
 use ground::geometry::{Pose, Rotation, Vec3};
-use ground::stats::MeasuredLength;
+use ground::stats::{Measured, MeasuredLength};
 use ground::stream::PoseTrack;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
@@ -141,10 +141,7 @@ impl Change {
         let mut to_origin = DMatrix::identity(6, 6);
         to_origin.view_mut((0, 3), (3, 3)).copy_from(&about.cross_matrix());
         let of_twist = &to_origin * of_twist * to_origin.transpose();
-        let twist_of = |change: &Change, part: f64| {
-            &to_origin * DVector::from_iterator(6, change.half.iter().map(|half| half * part))
-        };
-        let total = twist_of(self, 2.0);
+        let total = to_origin * DVector::from_iterator(6, self.half.iter().map(|half| 2.0 * half));
         let length = |first: usize| {
             let own = of_twist.view((first, first), (3, 3)).into_owned();
             MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
@@ -161,20 +158,29 @@ impl Change {
         let base = base.as_ref().ok().filter(|frame| frame.is_chosen);
         let base = base.map_or_else(Pose::identity, |frame| frame.pose);
         let others = all.iter().filter(|it| it.frame == self.frame && it.step != self.step);
-        let beside = others.fold(DVector::zeros(6), |sum: DVector<f64>, other| {
-            sum + twist_of(other, other.part(columns, at_s))
-        });
-        let frame = |part: f64| pose_of_twist((&beside + twist_of(self, part)).as_slice()) * base;
+        let mut beside = [0.0; 6];
+        for other in others {
+            let part = other.part(columns, at_s);
+            beside.iter_mut().zip(other.half).for_each(|(sum, half)| *sum += part * half);
+        }
+        let about = Pose::from_parts(about.into(), Rotation::identity());
+        let frame = |part: f64| {
+            let twist: [f64; 6] = std::array::from_fn(|i| beside[i] + part * self.half[i]);
+            about * pose_of_twist(&twist) * about.inverse()
+        };
+        let (from, to) = (frame(-1.0), frame(1.0));
+        let change = from.inv_mul(&to);
+        let exact = |value: f64, linear: Measured| Measured { value, ..linear };
         ChangePoint {
             at_s,
             within_s,
             is_gradual: self.step.is_none(),
-            from: frame(-1.0),
-            to: frame(1.0),
+            from: from * base,
+            to: to * base,
             size: FrameEstimate {
-                pose: pose_of_twist(total.as_slice()),
-                translation_m: shift.norm,
-                rotation_rad: turn.norm,
+                pose: change,
+                translation_m: exact(change.translation.vector.norm(), shift.norm),
+                rotation_rad: exact(change.rotation.angle(), turn.norm),
                 p_value: shift.p_value.min(turn.p_value),
                 is_chosen: true,
             },
@@ -278,8 +284,8 @@ impl ChangingStream<'_> {
         with_poses(found, samples.map(steady))
     }
 
-    /// Adds the changes to `after`, the diagnosis without them. `before` is of the run as it is.
-    fn report(&self, before: &ArmDiagnosis, after: &mut ArmDiagnosis) {
+    /// The changes as reported, in order of time. `after` is the diagnosis without them.
+    fn reported(&self, after: &ArmDiagnosis) -> Vec<(Frame, FrameChange)> {
         let (columns, found) = (self.columns(after), &after.streams[self.stream]);
         let Fit { covariances, dof, .. } = Fit::new(&columns, &self.changes);
         let report = |(change, covariance): (&Change, &DMatrix<f64>)| {
@@ -288,19 +294,18 @@ impl ChangingStream<'_> {
         let mut reported: Vec<(Frame, FrameChange)> =
             self.changes.iter().zip(&covariances).map(report).collect();
         reported.sort_by(|a, b| a.1.at_s.total_cmp(&b.1.at_s));
-        let found = &mut after.streams[self.stream];
-        for (frame, change) in reported {
-            match frame {
-                Frame::Reference => found.reference_changes.push(change),
-                Frame::Tool => found.tool_changes.push(change),
-            }
-        }
-        keep_encoding(&before.streams[self.stream], found);
-        restore_recorded(self.run.joints, &self.run.streams[self.stream], found);
+        reported
     }
 }
 
-/// The likeliest change beside these, if the likelihood justifies one. `None` if the latency or a joint zero changes.
+/// Whether its size differs from zero.
+fn is_significant(change: &FrameChange) -> bool {
+    let FrameEstimate { translation_m, rotation_rad, .. } = &change.size;
+    [translation_m, rotation_rad].into_iter().any(|size| size.value > size.half_width(0.95))
+}
+
+/// The likeliest change beside these, if the likelihood justifies one. `None` if something else
+/// changes, such as the latency.
 fn next_change(columns: &FrameColumns, changes: &[Change]) -> Option<Change> {
     let linear = linearize(columns, changes);
     let found = likeliest_change(columns, &linear, &columns.local_weights(&linear))?;
@@ -338,8 +343,21 @@ pub(crate) fn diagnose_with_frame_changes(
     if !are_floating(run.streams) && !streams.iter().all(is_explained) {
         return None;
     }
-    for stream in &streams {
-        stream.report(diagnosis, &mut after);
+    let reported: Vec<_> = streams.iter().map(|stream| stream.reported(&after)).collect();
+    // Constant causes may explain in the end what a change did at first.
+    if !reported.iter().flatten().all(|(_, change)| is_significant(change)) {
+        return None;
+    }
+    for (ChangingStream { stream, .. }, reported) in streams.iter().zip(reported) {
+        let found = &mut after.streams[*stream];
+        for (frame, change) in reported {
+            match frame {
+                Frame::Reference => found.reference_changes.push(change),
+                Frame::Tool => found.tool_changes.push(change),
+            }
+        }
+        keep_encoding(&diagnosis.streams[*stream], found);
+        restore_recorded(run.joints, &run.streams[*stream], found);
     }
     Some(after)
 }

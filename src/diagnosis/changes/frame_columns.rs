@@ -6,7 +6,7 @@
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
+use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
@@ -49,14 +49,15 @@ impl Frame {
     }
 }
 
-/// Column of the latency, followed by the skew.
+/// Columns of the latency, the radial scale, and the skew.
 pub(super) const LATENCY: usize = 12;
+const RADIAL_SCALE: usize = LATENCY + 1;
 /// Number of columns of constant causes besides the links.
-const CAUSES: usize = LATENCY + 2;
+const CAUSES: usize = RADIAL_SCALE + 2;
 /// Variable column of the first joint's zero. Those before are constant columns.
-pub(super) const ZEROS: usize = LATENCY + 1;
+pub(super) const ZEROS: usize = RADIAL_SCALE + 1;
 
-/// Columns with a factor at each time: frames and latency as the constant ones, then joint zeros.
+/// Columns with a factor at each time: frames, latency and radial scale as the constant ones, then joint zeros.
 pub(super) struct VariableColumns<'a> {
     pub columns: Range<usize>,
     pub factor: &'a dyn Fn(f64) -> f64,
@@ -112,7 +113,7 @@ impl<'a> FrameColumns<'a> {
         let all: Vec<usize> = (0..linear.width).collect();
         let mut normal = Normal::zeros(linear.width);
         linear.accumulate(weights, &all, &mut normal);
-        for column in CAUSES..self.constant() {
+        for column in RADIAL_SCALE..self.constant() {
             normal.matrix[(column, column)] += self.prior_precision(column);
         }
         normal
@@ -121,6 +122,7 @@ impl<'a> FrameColumns<'a> {
     /// Of a constant column. 0 if it is free.
     pub fn prior_precision(&self, column: usize) -> f64 {
         match column.checked_sub(CAUSES).map(|parameter| parameter % 6) {
+            None if column == RADIAL_SCALE => RADIAL_SCALE_PRIOR.powi(-2),
             None => 0.0,
             Some(0..3) => LINK_PRIOR_M.powi(-2),
             Some(_) => LINK_PRIOR_RAD.powi(-2),
@@ -177,6 +179,7 @@ impl<'a> FrameColumns<'a> {
                 0..6 => jacobian.reference(column),
                 6..LATENCY => jacobian.tool(column - 6),
                 LATENCY => late,
+                RADIAL_SCALE => [tip, Vec3::zeros()],
                 _ => late.map(|late| late * part),
             });
             let mut set = |column: usize, [linear, angular]: Derivative| {

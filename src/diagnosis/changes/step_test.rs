@@ -1,4 +1,4 @@
-//! Score test for a change of a frame, the latency or a joint zero, beside constant causes and link deviations.
+//! Score test for a change of a frame, the latency, the radial scale or a joint zero, beside constant causes and link deviations.
 //!
 //! The gain of a step at each sample comes from one linearisation (sup-F test: Andrews, *Tests for parameter
 //! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
@@ -12,8 +12,8 @@ use crate::solver::linear::{Linear, Weight};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
-/// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, and a joint
-/// zero. The reference turns about the middle of the motion, so a rotation alone is no cause.
+/// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, the radial
+/// scale, and a joint zero. The reference turns about the middle of the motion, so a rotation alone is no cause.
 fn causes(columns: &FrameColumns) -> Vec<Range<usize>> {
     let (reference, tool) = (Frame::Reference, Frame::Tool);
     let frames = [
@@ -23,9 +23,8 @@ fn causes(columns: &FrameColumns) -> Vec<Range<usize>> {
         tool.rotation(),
         tool.columns(),
     ];
-    let zeros = (ZEROS..columns.variable()).map(|column| column..column + 1);
-    let latency = std::iter::once(LATENCY..LATENCY + 1);
-    frames.into_iter().chain(latency).chain(zeros).collect()
+    let others = (LATENCY..columns.variable()).map(|column| column..column + 1);
+    frames.into_iter().chain(others).collect()
 }
 
 /// The likeliest change of a stream.
