@@ -7,7 +7,7 @@
 use super::encoding_changes::keep_encoding;
 use super::frame_columns::{Frame, FrameColumns, VariableColumns};
 use super::jumps::Jump;
-use super::step_test::likeliest_change;
+use super::step_test::{self, likeliest_change};
 use super::{ChangePoint, FrameChange, with_poses};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
@@ -166,7 +166,12 @@ impl Change {
         let about = Pose::from_parts(about.into(), Rotation::identity());
         let frame = |part: f64| {
             let twist: [f64; 6] = std::array::from_fn(|i| beside[i] + part * self.half[i]);
-            about * pose_of_twist(&twist) * about.inverse()
+            let change = about * pose_of_twist(&twist) * about.inverse();
+            match self.frame {
+                // From the stream to the reference.
+                Frame::Reference => base * change.inverse(),
+                Frame::Tool => base * change,
+            }
         };
         let (from, to) = (frame(-1.0), frame(1.0));
         let change = from.inv_mul(&to);
@@ -175,8 +180,8 @@ impl Change {
             at_s,
             within_s,
             is_gradual: self.step.is_none(),
-            from: from * base,
-            to: to * base,
+            from,
+            to,
             size: FrameEstimate {
                 pose: change,
                 translation_m: exact(change.translation.vector.norm(), shift.norm),
@@ -311,6 +316,14 @@ fn next_change(columns: &FrameColumns, changes: &[Change]) -> Option<Change> {
     let found = likeliest_change(columns, &linear, &columns.local_weights(&linear))?;
     let frame = Frame::of(&found.columns)?;
     Some(Change { frame, columns: found.columns, step: found.step, half: [0.0; 6] })
+}
+
+/// Score of one change under the noise that remains with it.
+pub(super) fn score_alone(columns: &FrameColumns, found: &step_test::Change) -> f64 {
+    let frame = Frame::of(&found.columns).unwrap_or(Frame::Tool);
+    let (columns_of, step) = (found.columns.clone(), found.step);
+    let change = Change { frame, columns: columns_of, step, half: [0.0; 6] };
+    Fit::new(columns, &[change]).score
 }
 
 /// Diagnoses the run with the changes of its frames removed, and reports them. `diagnosis` is of the run as it is.

@@ -41,6 +41,7 @@ pub use change_points::{
 pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
 pub(super) use frame_changes::diagnose_with_frame_changes;
+use frame_changes::score_alone;
 use frame_columns::FrameColumns;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use split_run::{Span, SplitRun, set_velocity};
@@ -74,7 +75,8 @@ pub(super) fn diagnose_with_changes(
         let step = |s: usize| {
             let columns = FrameColumns::new(&diagnosis.streams[s], streams[s].chain);
             let linear = columns.linearize(&[]);
-            Some((s, likeliest_change(&columns, &linear, &columns.local_weights(&linear))?.step?))
+            let change = likeliest_change(&columns, &linear, &columns.local_weights(&linear))?;
+            (score_alone(&columns, &change) > 0.0).then_some((s, change.step?))
         };
         (0..streams.len()).filter_map(step).collect()
     };
