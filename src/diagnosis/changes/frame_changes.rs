@@ -169,8 +169,8 @@ impl Change {
             let change = about * pose_of_twist(&twist) * about.inverse();
             match self.frame {
                 // From the stream to the reference.
-                Frame::Reference => base * change.inverse(),
-                Frame::Tool => base * change,
+                Frame::Reference => change.inverse(),
+                Frame::Tool => change,
             }
         };
         let (from, to) = (frame(-1.0), frame(1.0));
@@ -180,8 +180,8 @@ impl Change {
             at_s,
             within_s,
             is_gradual: self.step.is_none(),
-            from,
-            to,
+            from: from * base,
+            to: to * base,
             size: FrameEstimate {
                 pose: change,
                 translation_m: exact(change.translation.vector.norm(), shift.norm),
