@@ -1,8 +1,8 @@
 //! Frames that step or drift at a constant rate: a slipped tool, a moved base, a tracker's or SLAM's world, a marker
 //! that creeps.
 //!
-//! The likeliest change of a stream's frame is fitted to the residual beside constant causes and link deviations. Its
-//! effect is removed from the poses, and the run is diagnosed again, until no change is likely.
+//! The changes of a stream's frames are fitted to the residual together with constant causes and link deviations. Their
+//! effect is removed from the poses, and the run is diagnosed again.
 
 use super::encoding_changes::keep_encoding;
 use super::frame_columns::{Frame, FrameColumns, VariableColumns};
@@ -121,8 +121,8 @@ impl Change {
         change
     }
 
-    /// The change as reported, between the frames that the others give. A step is of the frame's origin; a drift of
-    /// the middle of the motion.
+    /// The change as reported, including the state of the other changes at its time. Steps refer to the frame's origin,
+    /// drifts to the middle of the motion.
     fn report(
         &self,
         found: &PoseDiagnosis,
@@ -158,14 +158,14 @@ impl Change {
         let base = base.as_ref().ok().filter(|frame| frame.is_chosen);
         let base = base.map_or_else(Pose::identity, |frame| frame.pose);
         let others = all.iter().filter(|it| it.frame == self.frame && it.step != self.step);
-        let mut beside = [0.0; 6];
+        let mut of_others = [0.0; 6];
         for other in others {
             let part = other.part(columns, at_s);
-            beside.iter_mut().zip(other.half).for_each(|(sum, half)| *sum += part * half);
+            of_others.iter_mut().zip(other.half).for_each(|(sum, half)| *sum += part * half);
         }
         let about = Pose::from_parts(about.into(), Rotation::identity());
         let frame = |part: f64| {
-            let twist: [f64; 6] = std::array::from_fn(|i| beside[i] + part * self.half[i]);
+            let twist: [f64; 6] = std::array::from_fn(|i| of_others[i] + part * self.half[i]);
             let change = about * pose_of_twist(&twist) * about.inverse();
             match self.frame {
                 // From the stream to the reference.
@@ -206,8 +206,8 @@ impl ChangingStream<'_> {
         FrameColumns::new(&diagnosis.streams[self.stream], chain)
     }
 
-    /// Finds the changes one by one, beside those before, and keeps the most likely first ones. Their noise is that
-    /// within parts of the run, until all are known.
+    /// Adds the likeliest change until none is likely, and returns the likeliest number of them. The search uses the noise
+    /// within tenths of the run, because the residual still contains the other changes.
     fn find(&self, diagnosis: &ArmDiagnosis) -> Vec<Change> {
         const MAX_CHANGES: usize = 4;
         let found = &diagnosis.streams[self.stream];
@@ -309,8 +309,8 @@ fn is_significant(change: &FrameChange) -> bool {
     [translation_m, rotation_rad].into_iter().any(|size| size.value > size.half_width(0.95))
 }
 
-/// The likeliest change beside these, if the likelihood justifies one. `None` if something else
-/// changes, such as the latency.
+/// The likeliest change of a frame in addition to these. `None` without one, or if another change, such as one of the
+/// latency, is likelier.
 fn next_change(columns: &FrameColumns, changes: &[Change]) -> Option<Change> {
     let linear = linearize(columns, changes);
     let found = likeliest_change(columns, &linear, &columns.local_weights(&linear))?;
@@ -318,7 +318,7 @@ fn next_change(columns: &FrameColumns, changes: &[Change]) -> Option<Change> {
     Some(Change { frame, columns: found.columns, step: found.step, half: [0.0; 6] })
 }
 
-/// Score of one change under the noise that remains with it.
+/// Score of a single change, with the noise after correcting it.
 pub(super) fn score_alone(columns: &FrameColumns, found: &step_test::Change) -> f64 {
     let frame = Frame::of(&found.columns).unwrap_or(Frame::Tool);
     let (columns_of, step) = (found.columns.clone(), found.step);
@@ -348,7 +348,7 @@ pub(crate) fn diagnose_with_frame_changes(
         }
     }
     let mut after = after?;
-    // Unknown faults of joints can look like changes, but a part of the residual remains beside link deviations.
+    // Unknown faults of joints can look like changes, but leave a residual that link deviations do not explain.
     let is_explained = |stream: &ChangingStream| {
         !has_slow_residual(&after.streams[stream.stream])
             || !stream.columns(&after).has_unexplained_residual()
@@ -357,7 +357,7 @@ pub(crate) fn diagnose_with_frame_changes(
         return None;
     }
     let reported: Vec<_> = streams.iter().map(|stream| stream.reported(&after)).collect();
-    // Constant causes may explain in the end what a change did at first.
+    // The last diagnosis may explain a change by constant causes.
     if !reported.iter().flatten().all(|(_, change)| is_significant(change)) {
         return None;
     }

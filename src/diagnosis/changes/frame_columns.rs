@@ -1,8 +1,7 @@
 //! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame, the latency and
 //! the links.
 //!
-//! No arm is exactly its model, so changes of a frame or the latency are tested beside constant deviations of the
-//! links, which have a prior.
+//! No arm is exactly its model. Tests of changes therefore include constant deviations of the links, with a prior.
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};

@@ -1,4 +1,5 @@
-//! Score test for a change of a frame, the latency, the radial scale or a joint zero, beside constant causes and link deviations.
+//! Score test for a change of a frame, the latency, the radial scale or a joint zero. Constant causes and link deviations
+//! are free parameters of it.
 //!
 //! The gain of a step at each sample comes from one linearisation (sup-F test: Andrews, *Tests for parameter
 //! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
@@ -159,7 +160,8 @@ pub(super) fn has_unusual_zero(columns: &FrameColumns) -> bool {
     zero.is_some_and(|zero| zero.score > 0.0)
 }
 
-/// The likeliest step or drift of the stream beside the causes of a linearisation, if the likelihood justifies one.
+/// The likeliest step or drift of the stream, in addition to the causes of a linearisation, if the likelihood justifies
+/// one.
 pub(super) fn likeliest_change(
     columns: &FrameColumns,
     linear: &Linear,
@@ -168,8 +170,6 @@ pub(super) fn likeliest_change(
     let test = ScoreTest::new(columns, linear, weights)?;
     let rows: Vec<usize> = columns.samples().collect();
     let drift = test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]]));
-    // A latency that drifts is a skew.
-    let drift = drift.filter(|drift| drift.columns.start != LATENCY);
     let step = likeliest_step(&test, &rows);
     let all = drift.into_iter().chain(step).filter(|change| change.score > 0.0);
     all.max_by(|a, b| a.score.total_cmp(&b.score))

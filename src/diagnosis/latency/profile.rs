@@ -111,7 +111,7 @@ impl LatencyProfile {
             let variance =
                 covariance[(from, from)] + covariance[(to, to)] - 2.0 * covariance[(from, to)];
             let value = levels_s[to] - levels_s[from];
-            Measured { value, std_error: variance.sqrt(), dof: windows.len() as f64 }
+            Measured { value, std_error: variance.max(0.0).sqrt(), dof: windows.len() as f64 }
         };
         let profile = |shape, swing_s, levels| Self {
             swing_s,
@@ -158,7 +158,7 @@ impl LatencyProfile {
                     .fold((f64::MAX, f64::MIN), |(min, max), &load| (load.min(min), load.max(max)));
                 let slope = Measured {
                     value: levels_s[1],
-                    std_error: covariance[(1, 1)].sqrt(),
+                    std_error: covariance[(1, 1)].max(0.0).sqrt(),
                     dof: windows.len() as f64,
                 };
                 let bins = windows.iter().flat_map(|window| &window.bins);
