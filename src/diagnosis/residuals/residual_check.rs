@@ -480,6 +480,16 @@ mod tests {
     }
 
     #[test]
+    fn an_error_that_leaps_within_a_part_is_no_noise() {
+        let mut error = noise(0.0, 7);
+        error[2100..2160].iter_mut().for_each(|error| error.x += 0.05);
+        let size = size_of(error);
+        let part = size.worst().expect("a part").magnitude;
+        let noise = part.noise.expect("its noise");
+        assert!(part.quantile_95 > 5.0 * noise.quantile_95, "{part:?}");
+    }
+
+    #[test]
     fn a_step_exceeds_the_noise_from_the_part_where_it_begins() {
         let mut error = noise(0.6, 4);
         error[2000..].iter_mut().for_each(|error| error.x += 0.07);
