@@ -8,7 +8,7 @@
 use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_changes, diagnose_with_frame_changes,
+    constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_changes,
     diagnose_with_recorded_changes, is_explained_by_links,
 };
 use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
@@ -58,7 +58,8 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         joints: together.joints.clone(),
         streams: independent.iter().map(|&s| together.streams[s].clone()).collect(),
     };
-    let has_zeros = apart.joints.offsets.iter().any(|offset| offset.is_chosen);
+    let has_zeros = !apart.joints.changes.is_empty()
+        || apart.joints.offsets.iter().any(|offset| offset.is_chosen);
     if !has_zeros || log_bayes_factor(&apart, &common) <= 0.0 {
         return None;
     }
@@ -72,9 +73,9 @@ fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
     if let Some(by_changes) = diagnose_with_recorded_changes(run) {
         // Between poses in one frame, a drift leaves some segments as logged.
         let constant = are_floating(streams).then(|| run.diagnose());
-        let by_frames = constant.and_then(|constant| diagnose_with_frame_changes(run, &constant));
-        return match by_frames {
-            Some(by_frames) if log_bayes_factor(&by_frames, &by_changes) > 0.0 => by_frames,
+        let by_steps = constant.and_then(|constant| diagnose_with_cause_changes(run, &constant));
+        return match by_steps {
+            Some(by_steps) if log_bayes_factor(&by_steps, &by_changes) > 0.0 => by_steps,
             _ => by_changes,
         };
     }
@@ -108,7 +109,7 @@ fn diagnose_with_varying_causes(
     let is_distinct = |it: &ArmDiagnosis| {
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
-    let by_frames = diagnose_with_frame_changes(run, constant);
+    let by_steps = diagnose_with_cause_changes(run, constant);
     let by_compliance = diagnose_scale_as_compliance(run, constant)
         .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let is_sufficient = |it: &ArmDiagnosis| !it.streams.iter().any(has_slow_residual);
@@ -116,10 +117,14 @@ fn diagnose_with_varying_causes(
         let streams = it.streams.iter().zip(run.streams);
         streams.into_iter().all(|(found, stream)| is_explained_by_links(found, stream))
     };
-    let are_frames_enough =
-        by_frames.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it));
-    if is_within_links || are_frames_enough {
-        return Some((likeliest(by_compliance.into_iter().chain(by_frames))?, false));
+    let are_steps_enough =
+        by_steps.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it));
+    // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
+    let by_compliance = by_compliance.filter(|it| {
+        !are_steps_enough || !it.joints.compliance.iter().any(JointCompliance::is_eccentric)
+    });
+    if is_within_links || are_steps_enough {
+        return Some((likeliest(by_compliance.into_iter().chain(by_steps))?, false));
     }
     // Backlash with few reversals resembles a changing zero or frame.
     let is_compliant = by_compliance
@@ -127,7 +132,7 @@ fn diagnose_with_varying_causes(
         .is_some_and(|it| !it.joints.compliance.is_empty() && is_sufficient(it));
     let max_changes = if is_compliant { 1 } else { usize::MAX };
     let by_segments = diagnose_with_changes(run, constant, max_changes).map(|it| (it, true));
-    let others = [by_compliance, by_frames].into_iter().flatten().map(|it| (it, false));
+    let others = [by_compliance, by_steps].into_iter().flatten().map(|it| (it, false));
     let likelier = |best: (ArmDiagnosis, bool), one: (ArmDiagnosis, bool)| {
         if log_bayes_factor(&one.0, &best.0) > 0.0 { one } else { best }
     };

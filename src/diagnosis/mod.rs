@@ -30,8 +30,8 @@
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
-//! 7. `changes` finds steps and drifts of frames by a score test beside link deviations. `compliance` and change points of
-//!    segments compete to explain what remains. Each corrects the run and repeats steps 2 to 6. The likeliest diagnosis
+//! 7. `changes` finds steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
+//!    deviations. `compliance` and change points of segments compete to explain what remains. Each corrects the run and repeats steps 2 to 6. The likeliest diagnosis
 //!    wins (`selection::evidence`). A run that follows FK as logged only between gaps or jumps of the numbers starts here.
 //! 8. If some streams are FK of the joint states and the others are not explained, the joints are diagnosed by the others.
 //!

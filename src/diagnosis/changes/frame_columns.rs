@@ -11,7 +11,8 @@ use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::robot::{Chain, JointKind};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// One of a stream's frames.
@@ -50,7 +51,7 @@ impl Frame {
 
 /// Columns of the latency, the radial scale, and the skew.
 pub(super) const LATENCY: usize = 12;
-const RADIAL_SCALE: usize = LATENCY + 1;
+pub(super) const RADIAL_SCALE: usize = LATENCY + 1;
 /// Number of columns of constant causes besides the links.
 const CAUSES: usize = RADIAL_SCALE + 2;
 /// Variable column of the first joint's zero. Those before are constant columns.
@@ -62,9 +63,10 @@ pub(super) struct VariableColumns<'a> {
     pub factor: &'a dyn Fn(f64) -> f64,
 }
 
+#[derive(Clone)]
 pub(super) struct FrameColumns<'a> {
-    pub aligned: &'a AlignedSamples,
-    chain: &'a Chain,
+    pub aligned: Cow<'a, AlignedSamples>,
+    pub chain: &'a Chain,
     /// Links before the last, whose deviation is a tool, and joints before the last, whose zero is one.
     links: usize,
     /// Of those joints, in the frames of their links.
@@ -72,17 +74,31 @@ pub(super) struct FrameColumns<'a> {
     has_rotation: bool,
     /// The reference turns about it, in the base.
     pub centre: Vec3,
+    /// Whether constant joint zeros are free; else their prior is that of link deviations.
+    has_free_zeros: bool,
 }
 
 impl<'a> FrameColumns<'a> {
     pub fn new(diagnosis: &'a PoseDiagnosis, chain: &'a Chain) -> Self {
-        let aligned = &diagnosis.aligned;
+        let aligned = Cow::Borrowed(&diagnosis.aligned);
         let sum: Vec3 = aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).sum();
         let centre = sum / aligned.fk_at_truth.len().max(1) as f64;
         let has_links = !chain.is_floating() && !aligned.q_at_truth.is_empty();
         let links = if has_links { chain.dof().saturating_sub(1) } else { 0 };
         let axes = chain.joint_axes();
-        Self { aligned, chain, links, axes, has_rotation: diagnosis.encoding.is_ok(), centre }
+        let has_rotation = diagnosis.encoding.is_ok();
+        Self { aligned, chain, links, axes, has_rotation, centre, has_free_zeros: false }
+    }
+
+    /// For tests of changes: constant joint zeros of any size are no changes.
+    pub fn with_free_zeros(self) -> Self {
+        Self { has_free_zeros: true, ..self }
+    }
+
+    /// First column of a joint zero's axis.
+    fn axis_column(&self, joint: usize) -> usize {
+        let is_rotary = self.chain.joint_kinds()[joint] != JointKind::Prismatic;
+        CAUSES + 6 * joint + if is_rotary { 3 } else { 0 }
     }
 
     /// Number of variable columns.
@@ -95,9 +111,8 @@ impl<'a> FrameColumns<'a> {
         DVector::from_fn(self.variable(), |column, _| match column.checked_sub(ZEROS) {
             None => row[column],
             Some(joint) => {
-                let is_rotary = self.chain.joint_kinds()[joint] != JointKind::Prismatic;
-                let first = CAUSES + 6 * joint + if is_rotary { 3 } else { 0 };
-                self.axes[joint].iter().zip(&row[first..]).map(|(axis, value)| axis * value).sum()
+                let derivatives = &row[self.axis_column(joint)..];
+                self.axes[joint].iter().zip(derivatives).map(|(axis, value)| axis * value).sum()
             }
         })
     }
@@ -112,20 +127,30 @@ impl<'a> FrameColumns<'a> {
         let all: Vec<usize> = (0..linear.width).collect();
         let mut normal = Normal::zeros(linear.width);
         linear.accumulate(weights, &all, &mut normal);
-        for column in RADIAL_SCALE..self.constant() {
-            normal.matrix[(column, column)] += self.prior_precision(column);
-        }
+        let constant = self.constant();
+        let mut own = normal.matrix.view_mut((0, 0), (constant, constant));
+        own += self.prior();
         normal
     }
 
-    /// Of a constant column. 0 if it is free.
-    pub fn prior_precision(&self, column: usize) -> f64 {
-        match column.checked_sub(CAUSES).map(|parameter| parameter % 6) {
+    /// Precision of the constant columns' prior. 0 for those that are free.
+    pub fn prior(&self) -> DMatrix<f64> {
+        let diagonal = |column: usize| match column.checked_sub(CAUSES).map(|own| own % 6) {
             None if column == RADIAL_SCALE => RADIAL_SCALE_PRIOR.powi(-2),
             None => 0.0,
             Some(0..3) => LINK_PRIOR_M.powi(-2),
             Some(_) => LINK_PRIOR_RAD.powi(-2),
+        };
+        let mut prior = DMatrix::from_diagonal(&DVector::from_fn(self.constant(), |column, _| {
+            diagonal(column)
+        }));
+        for joint in (0..self.links).filter(|_| self.has_free_zeros) {
+            let (first, axis) = (self.axis_column(joint), self.axes[joint]);
+            let precision = diagonal(first);
+            let mut own = prior.fixed_view_mut::<3, 3>(first, first);
+            own -= precision * axis * axis.transpose();
         }
+        prior
     }
 
     /// Rows of up to about 2000 samples.
@@ -147,7 +172,7 @@ impl<'a> FrameColumns<'a> {
 
     /// Of FK at a row.
     fn velocity(&self, row: usize) -> Derivative {
-        let AlignedSamples { t_s, fk_at_truth, .. } = self.aligned;
+        let AlignedSamples { t_s, fk_at_truth, .. } = self.aligned.as_ref();
         let (from, to) = (row.saturating_sub(1), (row + 1).min(t_s.len() - 1));
         let (before, after) = (&fk_at_truth[from], &fk_at_truth[to]);
         let moved = after.translation.vector - before.translation.vector;

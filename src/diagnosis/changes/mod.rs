@@ -1,22 +1,23 @@
 //! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! Steps and drifts of frames are columns of the residual ([`frame_changes`]). For other changes, the run is split where a stream jumps relative to the arm, a joint jumps, or data are missing ([`jumps`]).
+//! Steps and drifts of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]). For other
+//! changes, the run is split where a stream jumps relative to the arm, a joint jumps, or data are missing ([`jumps`]).
 //! The longest segment, the baseline, is diagnosed alone. The others are corrected by its result and
 //! diagnosed again, so their models contain only the differences (after Chow 1960). Correcting these
 //! differences gives a run in which the baseline's errors persist from start to end; it is diagnosed as a
 //! whole. Change points are reported only if that is likelier ([`crate::selection::evidence`]).
 
+mod cause_changes;
 mod change_points;
 mod constant_frames;
 mod encoding_changes;
-mod frame_changes;
 mod frame_columns;
 mod jumps;
 mod report;
 mod split_run;
 mod step_test;
 
-use crate::arm::{are_floating, diagnose_other_segment};
+use crate::arm::diagnose_other_segment;
 use crate::arm_run::ArmRun;
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
@@ -35,17 +36,16 @@ use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::cell::LazyCell;
 use std::ops::Range;
 
+pub(super) use cause_changes::diagnose_with_cause_changes;
 pub use change_points::{
     ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
 };
 pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
-pub(super) use frame_changes::diagnose_with_frame_changes;
-use frame_changes::score_alone;
 use frame_columns::FrameColumns;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use split_run::{Span, SplitRun, set_velocity};
-use step_test::{has_unusual_zero, likeliest_change};
+use step_test::has_unusual_zero;
 
 /// Whether usual link deviations and constant frames explain the residual of a stream.
 pub(super) fn is_explained_by_links(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
@@ -71,20 +71,8 @@ pub(super) fn diagnose_with_changes(
 ) -> Option<ArmDiagnosis> {
     let ArmRun { joints, streams, max_lag_s, .. } = *arm;
     let jumps = jumps_in_joints(joints);
-    let likeliest_steps = || -> Vec<(usize, Jump)> {
-        let step = |s: usize| {
-            let columns = FrameColumns::new(&diagnosis.streams[s], streams[s].chain);
-            let linear = columns.linearize(&[]);
-            let change = likeliest_change(&columns, &linear, &columns.local_weights(&linear))?;
-            (score_alone(&columns, &change) > 0.0).then_some((s, change.step?))
-        };
-        (0..streams.len()).filter_map(step).collect()
-    };
-    // Link deviations look like small steps.
-    let are_exact = are_floating(streams);
-    let exact_steps = if are_exact { likeliest_steps() } else { Vec::new() };
     let is_slow = diagnosis.streams.iter().any(has_slow_residual);
-    if jumps.is_empty() && !is_slow && exact_steps.is_empty() {
+    if jumps.is_empty() && !is_slow {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -98,15 +86,6 @@ pub(super) fn diagnose_with_changes(
         })
         .collect();
     let run = SplitRun { arm: *arm, lags: &lags };
-    let diagnose_with_steps = |steps: Vec<(usize, Jump)>| {
-        let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
-        let steps = strongest(steps.collect());
-        if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) }
-    };
-    let by_steps = diagnose_with_steps(exact_steps);
-    if by_steps.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
-        return by_steps;
-    }
     let mut all = run.change_points(diagnosis, jumps);
     if all.len() > max_changes {
         // Keep the strongest sharp jumps and gaps.
@@ -122,12 +101,7 @@ pub(super) fn diagnose_with_changes(
     if by_sharp.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
         return by_sharp;
     }
-    let found = [by_steps, by_sharp, diagnose_with_jumps(&run, &all, diagnosis)];
-    let best = likeliest(found.into_iter().flatten());
-    if best.is_some() || are_exact {
-        return best;
-    }
-    diagnose_with_steps(likeliest_steps())
+    likeliest([by_sharp, diagnose_with_jumps(&run, &all, diagnosis)].into_iter().flatten())
 }
 
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run

@@ -28,15 +28,47 @@ fn causes(columns: &FrameColumns) -> Vec<Range<usize>> {
     frames.into_iter().chain(others).collect()
 }
 
-/// The likeliest change of a stream.
-pub(super) struct Change {
+/// Variable columns that change.
+#[derive(Clone)]
+pub(super) struct StepOrDrift {
     /// `None` for a drift over the run.
     pub step: Option<Jump>,
-    /// Variable columns.
     pub columns: Range<usize>,
-    /// Reduction of the cost beyond constant causes, minus the price of the change.
-    pub score: f64,
 }
+
+impl StepOrDrift {
+    /// From −1 before the step, or at the start of the run, to 1.
+    pub fn factor(&self, columns: &FrameColumns, t_s: f64) -> f64 {
+        match self.step {
+            Some(step) if t_s < step.at_s => -1.0,
+            Some(_) => 1.0,
+            None => columns.part(t_s),
+        }
+    }
+}
+
+/// Causes that may change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ChangeKind {
+    Any,
+    Frames,
+    Zeros,
+}
+
+impl ChangeKind {
+    pub const ALL: [Self; 3] = [Self::Any, Self::Frames, Self::Zeros];
+
+    fn contains(self, cause: &Range<usize>) -> bool {
+        match self {
+            Self::Any => true,
+            Self::Frames => Frame::of(cause).is_some(),
+            Self::Zeros => cause.start >= ZEROS,
+        }
+    }
+}
+
+/// A change with its score: the reduction of the cost beyond constant causes, minus the price of the change.
+type Scored = (StepOrDrift, f64);
 
 struct ScoreTest<'a> {
     columns: &'a FrameColumns<'a>,
@@ -117,9 +149,21 @@ impl<'a> ScoreTest<'a> {
         gains
     }
 
-    fn likeliest_step(&self, samples: &[usize]) -> Option<Candidate> {
+    fn likeliest_step(
+        &self,
+        samples: &[usize],
+        found: &[(usize, &Range<usize>)],
+    ) -> Option<Candidate> {
+        let is_free = |of: usize, sample: usize| {
+            let overlaps = |columns: &Range<usize>| {
+                columns.start < self.causes[of].end && self.causes[of].start < columns.end
+            };
+            !found.iter().any(|&(at, columns)| {
+                at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
+            })
+        };
         let all = samples.iter().zip(self.gains_of_steps(samples)).flat_map(|(&sample, gains)| {
-            let scored = gains.into_iter().enumerate();
+            let scored = gains.into_iter().enumerate().filter(move |(of, _)| is_free(*of, sample));
             // The time is a parameter, too.
             scored.map(move |(of, gain)| {
                 (of, sample, gain, gain - self.price * (self.causes[of].len() + 1) as f64)
@@ -129,14 +173,14 @@ impl<'a> ScoreTest<'a> {
     }
 
     /// Cause with the highest score, with a factor of each sample.
-    fn likeliest(&self, factor: impl Fn(usize) -> f64) -> Option<Change> {
+    fn likeliest(&self, factor: impl Fn(usize) -> f64) -> Option<Scored> {
         let mut sums = self.empty();
         (0..self.linear.len()).for_each(|sample| self.add(sample, factor(sample), &mut sums));
         let scored = self.gains(&sums).into_iter().zip(&self.causes).map(|(gain, columns)| {
             let score = gain - self.price * columns.len() as f64;
-            Change { step: None, columns: columns.clone(), score }
+            (StepOrDrift { step: None, columns: columns.clone() }, score)
         });
-        scored.max_by(|a, b| a.score.total_cmp(&b.score))
+        scored.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 }
 
@@ -157,26 +201,34 @@ pub(super) fn has_unusual_zero(columns: &FrameColumns) -> bool {
         test.causes.retain(|cause| cause.start >= ZEROS);
         test.likeliest(|_| 1.0)
     });
-    zero.is_some_and(|zero| zero.score > 0.0)
+    zero.is_some_and(|(_, score)| score > 0.0)
 }
 
-/// The likeliest step or drift of the stream, in addition to the causes of a linearisation, if the likelihood justifies
+/// The likeliest step or drift of the stream, in addition to those found and in the linearisation, if the likelihood justifies
 /// one.
 pub(super) fn likeliest_change(
     columns: &FrameColumns,
-    linear: &Linear,
-    weights: &[Weight],
-) -> Option<Change> {
-    let test = ScoreTest::new(columns, linear, weights)?;
+    found: &[StepOrDrift],
+    (linear, weights): (&Linear, &[Weight]),
+    kind: ChangeKind,
+) -> Option<Scored> {
+    let mut test = ScoreTest::new(columns, linear, weights)?;
+    test.causes.retain(|cause| kind.contains(cause));
     let rows: Vec<usize> = columns.samples().collect();
-    let drift = test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]]));
-    let step = likeliest_step(&test, &rows);
-    let all = drift.into_iter().chain(step).filter(|change| change.score > 0.0);
-    all.max_by(|a, b| a.score.total_cmp(&b.score))
+    let drift = (kind != ChangeKind::Zeros)
+        .then(|| test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]])))
+        .flatten();
+    let step = likeliest_step(&test, &rows, found);
+    let all = drift.into_iter().chain(step).filter(|(_, score)| *score > 0.0);
+    all.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// The strength of a step is relative to the price of its parameters.
-fn likeliest_step(test: &ScoreTest, rows: &[usize]) -> Option<Change> {
+fn likeliest_step<'a>(
+    test: &ScoreTest,
+    rows: &[usize],
+    found: &'a [StepOrDrift],
+) -> Option<Scored> {
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
     /// Between the samples tested first.
@@ -184,11 +236,14 @@ fn likeliest_step(test: &ScoreTest, rows: &[usize]) -> Option<Change> {
     let last = rows.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
     let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
     let t_s = |sample: usize| test.columns.aligned.t_s[rows[sample]];
-    let (_, near, ..) = test.likeliest_step(&candidates)?;
+    let sample_at = |at_s: f64| (0..rows.len()).find(|sample| t_s(*sample) >= at_s);
+    let at = |it: &'a StepOrDrift| Some((sample_at(it.step?.at_s)?, &it.columns));
+    let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
+    let (_, near, ..) = test.likeliest_step(&candidates, &found)?;
     let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
         .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
         .collect();
-    let (of, sample, gain, score) = test.likeliest_step(&around)?;
+    let (of, sample, gain, score) = test.likeliest_step(&around, &found)?;
     let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
     let mut likely: Vec<usize> = Vec::new();
     for tested in [candidates, around] {
@@ -203,7 +258,7 @@ fn likeliest_step(test: &ScoreTest, rows: &[usize]) -> Option<Change> {
         strength: gain / (test.price * (columns.len() + 1) as f64),
         window_s: 0.0,
     };
-    Some(Change { step: Some(step), columns, score })
+    Some((StepOrDrift { step: Some(step), columns }, score))
 }
 
 #[cfg(test)]
@@ -238,7 +293,8 @@ mod tests {
         let diagnosis = diagnose_arm(&joints, &[stream], 1.0);
         let columns = FrameColumns::new(&diagnosis.streams[0], &chain);
         let linear = columns.linearize(&[]);
-        likeliest_change(&columns, &linear, &columns.local_weights(&linear))?.step
+        let weights = columns.local_weights(&linear);
+        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::Any)?.0.step
     }
 
     #[test]

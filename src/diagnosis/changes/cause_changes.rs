@@ -1,0 +1,876 @@
+//! Causes that step, or drift at a constant rate: a slipped tool, a moved base, a tracker's or SLAM's world, a marker
+//! that creeps, a lost joint zero, a radial scale.
+//!
+//! All changes are fitted to the residuals of all streams, together with constant causes and link deviations. Their
+//! effect is removed from joint states and poses, and the run is diagnosed again.
+
+use super::encoding_changes::keep_encoding;
+use super::frame_columns::{Frame, FrameColumns, RADIAL_SCALE, VariableColumns, ZEROS};
+use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
+use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
+use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange, with_poses};
+use crate::arm::are_floating;
+use crate::arm_run::ArmRun;
+use crate::latency::compensation::with_tracks;
+use crate::model::measurement::pose_of_twist;
+use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
+use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
+use crate::solver::linear::{Linear, Normal};
+use crate::solver::robust::sandwich;
+use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis};
+use ground::geometry::{Pose, Rotation, Vec3};
+use ground::stats::{Measured, MeasuredLength};
+use ground::stream::PoseTrack;
+use nalgebra::{DMatrix, DVector};
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// What changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Subject {
+    Frame { stream: usize, frame: Frame },
+    RadialScale { stream: usize },
+    Zero { column: usize },
+}
+
+impl Subject {
+    /// Stream that it affects. A joint zero affects every stream.
+    fn stream(self) -> Option<usize> {
+        match self {
+            Self::Frame { stream, .. } | Self::RadialScale { stream } => Some(stream),
+            Self::Zero { .. } => None,
+        }
+    }
+}
+
+#[derive(Clone)]
+struct Change {
+    subject: Subject,
+    /// Variable columns in its stream. Of a joint zero, one.
+    columns: Range<usize>,
+    /// By the stamps of its stream; of a joint zero, by those of the joints. `None` for a drift over the whole run.
+    step: Option<Jump>,
+    /// Half of the change in its columns.
+    half: DVector<f64>,
+}
+
+impl Change {
+    /// Time and half-width of its interval.
+    fn time(&self, columns: &FrameColumns) -> (f64, f64) {
+        let whole = (columns.aligned.middle_s(), columns.half_span_s());
+        self.step.map_or(whole, |step| (step.at_s, step.within_s))
+    }
+
+    /// The whole change as a twist of its frame.
+    fn twist(&self, part: f64) -> [f64; 6] {
+        let mut twist = [0.0; 6];
+        if let Subject::Frame { frame, .. } = self.subject {
+            let first = self.columns.start - frame.columns().start;
+            twist[first..first + self.half.len()].copy_from_slice((&self.half * part).as_slice());
+        }
+        twist
+    }
+}
+
+fn later(step: Option<Jump>, by_s: f64) -> Option<Jump> {
+    step.map(|step| Jump { at_s: step.at_s + by_s, ..step })
+}
+
+/// A stream that follows FK, and what changes it.
+struct Stream<'a> {
+    columns: FrameColumns<'a>,
+    found: &'a PoseDiagnosis,
+    index: usize,
+    /// Joint-track columns of the chain's joints.
+    joints: &'a [usize],
+}
+
+impl<'a> Stream<'a> {
+    fn all(run: &ArmRun<'a>, diagnosis: &'a ArmDiagnosis) -> Vec<Self> {
+        let stream = |(index, found): (usize, &'a PoseDiagnosis)| {
+            let follows = found.residual.is_ok() && !found.is_far_from_fk();
+            let stream = run.streams[index];
+            let columns =
+                follows.then(|| FrameColumns::new(found, stream.chain).with_free_zeros())?;
+            Some(Self { columns, found, index, joints: stream.columns })
+        };
+        diagnosis.streams.iter().enumerate().filter_map(stream).collect()
+    }
+
+    fn latency_s(&self) -> f64 {
+        self.found.latency_s.as_ref().map_or(0.0, |latency| latency.value)
+    }
+
+    /// The change in this stream's columns and stamps. `None` if it does not affect the stream.
+    fn seen(&self, change: &Change) -> Option<StepOrDrift> {
+        match change.subject {
+            Subject::Zero { column } => {
+                let joint = self.joints.iter().position(|own| *own == column)?;
+                let own = ZEROS + joint;
+                let step = later(change.step, self.latency_s());
+                (own < self.columns.variable()).then(|| StepOrDrift { step, columns: own..own + 1 })
+            }
+            subject => (subject.stream() == Some(self.index))
+                .then(|| StepOrDrift { step: change.step, columns: change.columns.clone() }),
+        }
+    }
+
+    /// The reverse, if its subject may change so.
+    fn change(&self, StepOrDrift { step, columns }: StepOrDrift) -> Option<Change> {
+        let stream = self.index;
+        let half = DVector::zeros(columns.len());
+        let subject = match Frame::of(&columns) {
+            Some(frame) => Subject::Frame { stream, frame },
+            None if columns.start == RADIAL_SCALE => Subject::RadialScale { stream },
+            None => {
+                let joint = columns.start.checked_sub(ZEROS);
+                let joint = joint.filter(|_| step.is_some())?;
+                let step = later(step, -self.latency_s());
+                let subject = Subject::Zero { column: self.joints[joint] };
+                return Some(Change { subject, columns, step, half });
+            }
+        };
+        Some(Change { subject, columns, step, half })
+    }
+
+    fn linearize(&self, seen: &[StepOrDrift]) -> Linear {
+        let factors: Vec<_> =
+            seen.iter().map(|it| |t_s: f64| it.factor(&self.columns, t_s)).collect();
+        let variable: Vec<VariableColumns> = seen
+            .iter()
+            .zip(&factors)
+            .map(|(it, factor)| VariableColumns { columns: it.columns.clone(), factor })
+            .collect();
+        self.columns.linearize(&variable)
+    }
+
+    /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
+    /// the latency, is likelier.
+    fn next_change(&self, changes: &[Change], kind: ChangeKind) -> Option<(Change, f64)> {
+        if !has_slow_residual(self.found) {
+            return None;
+        }
+        let seen: Vec<StepOrDrift> = changes.iter().filter_map(|it| self.seen(it)).collect();
+        let linear = self.linearize(&seen);
+        let weights = self.columns.local_weights(&linear);
+        let (next, score) = likeliest_change(&self.columns, &seen, (&linear, &weights), kind)?;
+        Some((self.change(next)?, score))
+    }
+
+    /// A pose at a stamp, corrected but for changes, without these changes of frames and radial scales. `constant` are twists
+    /// of the reference and the tool.
+    fn steady_pose(
+        &self,
+        changes: &[(&Change, StepOrDrift)],
+        constant: &[[f64; 6]; 2],
+        is: &Pose,
+        t_s: f64,
+    ) -> Pose {
+        let mut twists = *constant;
+        let mut scale = 0.0;
+        for (change, seen) in changes {
+            let part = seen.factor(&self.columns, t_s);
+            let twist = match change.subject {
+                Subject::Frame { frame: Frame::Reference, .. } => &mut twists[0],
+                Subject::Frame { frame: Frame::Tool, .. } => &mut twists[1],
+                Subject::RadialScale { .. } => {
+                    scale += part * change.half[0];
+                    continue;
+                }
+                Subject::Zero { .. } => continue,
+            };
+            twist.iter_mut().zip(change.twist(part)).for_each(|(sum, own)| *sum += own);
+        }
+        let [reference, tool] = twists.map(|twist| pose_of_twist(&twist).inverse());
+        let about = Pose::from_parts(self.columns.centre.into(), Rotation::identity());
+        let mut pose = about * reference * about.inverse() * is * tool;
+        pose.translation.vector /= 1.0 + scale;
+        pose
+    }
+
+    fn seen_changes<'b>(&self, changes: &'b [Change]) -> Vec<(&'b Change, StepOrDrift)> {
+        changes.iter().filter_map(|change| Some((change, self.seen(change)?))).collect()
+    }
+
+    /// Decoded poses without these changes of frames and radial scales.
+    fn steady_track(&self, changes: &[Change]) -> PoseTrack {
+        let seen = self.seen_changes(changes);
+        let AlignedSamples { corrected, t_s, .. } = &self.found.aligned;
+        let steady = |(is, &t_s): (&Pose, &f64)| {
+            self.found.frame_correction.invert(&self.steady_pose(&seen, &[[0.0; 6]; 2], is, t_s))
+        };
+        with_poses(self.found, corrected.iter().zip(t_s).map(steady))
+    }
+
+    /// The stream without these changes and constant changes of its frames, in the samples that are fitted.
+    fn without(&self, changes: &[Change], constant: &[[f64; 6]; 2]) -> Self {
+        let seen = self.seen_changes(changes);
+        let chain = self.columns.chain;
+        let dof = chain.dof();
+        let mut aligned = self.found.aligned.clone();
+        for row in self.columns.samples() {
+            let t_s = aligned.t_s[row];
+            aligned.corrected[row] =
+                self.steady_pose(&seen, constant, &aligned.corrected[row], t_s);
+            let mut turned = false;
+            for (change, seen) in seen.iter().filter(|it| it.0.subject.stream().is_none()) {
+                let joint = seen.columns.start - ZEROS;
+                aligned.q_at_truth[row * dof + joint] +=
+                    seen.factor(&self.columns, t_s) * change.half[0];
+                turned = true;
+            }
+            if turned {
+                let q = &aligned.q_at_truth[row * dof..(row + 1) * dof];
+                aligned.fk_at_truth[row] = chain.forward(q);
+            }
+        }
+        let mut columns = self.columns.clone();
+        columns.aligned = Cow::Owned(aligned);
+        Self { columns, ..*self }
+    }
+
+    /// A frame's change as reported, including the state of the other changes at its time. Steps refer to the frame's origin,
+    /// drifts to the middle of the motion.
+    fn report_frame(
+        &self,
+        change: &Change,
+        frame: Frame,
+        (covariance, dof): (&DMatrix<f64>, f64),
+        all: &[Change],
+    ) -> FrameChange {
+        let mut of_twist = DMatrix::zeros(6, 6);
+        let first = change.columns.start - frame.columns().start;
+        of_twist.view_mut((first, first), covariance.shape()).copy_from(&(covariance * 4.0));
+        let about = match (frame, change.step) {
+            (Frame::Reference, Some(_)) => self.columns.centre,
+            _ => Vec3::zeros(),
+        };
+        // A rotation about the middle of the motion moves the origin.
+        let mut to_origin = DMatrix::identity(6, 6);
+        to_origin.view_mut((0, 3), (3, 3)).copy_from(&about.cross_matrix());
+        let of_twist = &to_origin * of_twist * to_origin.transpose();
+        let total = to_origin * DVector::from_row_slice(&change.twist(2.0));
+        let length = |first: usize| {
+            let own = of_twist.view((first, first), (3, 3)).into_owned();
+            MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
+        };
+        let (shift, turn) = (length(0), length(3));
+        let (at_s, within_s) = change.time(&self.columns);
+        let base = match frame {
+            Frame::Reference => &self.found.reference,
+            Frame::Tool => &self.found.tool,
+        };
+        let base = base.as_ref().ok().filter(|frame| frame.is_chosen);
+        let base = base.map_or_else(Pose::identity, |frame| frame.pose);
+        let others = all.iter().filter(|it| it.subject == change.subject && it.step != change.step);
+        let mut of_others = [0.0; 6];
+        for other in others {
+            let part = self.seen(other).map_or(0.0, |seen| seen.factor(&self.columns, at_s));
+            of_others.iter_mut().zip(other.twist(part)).for_each(|(sum, own)| *sum += own);
+        }
+        let about = Pose::from_parts(about.into(), Rotation::identity());
+        let frame = |part: f64| {
+            let own = change.twist(part);
+            let twist: [f64; 6] = std::array::from_fn(|i| of_others[i] + own[i]);
+            let changed = about * pose_of_twist(&twist) * about.inverse();
+            match frame {
+                // From the stream to the reference.
+                Frame::Reference => changed.inverse(),
+                Frame::Tool => changed,
+            }
+        };
+        let (from, to) = (frame(-1.0), frame(1.0));
+        let pose = from.inv_mul(&to);
+        let exact = |value: f64, linear: Measured| Measured { value, ..linear };
+        ChangePoint {
+            at_s,
+            within_s,
+            is_gradual: change.step.is_none(),
+            from: from * base,
+            to: to * base,
+            size: FrameEstimate {
+                pose,
+                translation_m: exact(pose.translation.vector.norm(), shift.norm),
+                rotation_rad: exact(pose.rotation.angle(), turn.norm),
+                p_value: shift.p_value.min(turn.p_value),
+                is_chosen: true,
+            },
+        }
+    }
+}
+
+/// Joint fit of several changes. Directions that the motion does not show stay zero.
+struct Fit {
+    /// What to add to half of each change, in its columns.
+    halves: Vec<DVector<f64>>,
+    /// What to add to the constant reference and tool of each stream: twists.
+    frames: Vec<[[f64; 6]; 2]>,
+    covariances: Vec<DMatrix<f64>>,
+    dof: f64,
+    /// Reduction of the cost beyond constant causes, minus the price of the changes.
+    score: f64,
+}
+
+impl Fit {
+    /// `streams` are without the changes so far.
+    fn new(streams: &[Stream], changes: &[Change]) -> Self {
+        let constant: usize = streams.iter().map(|stream| stream.columns.constant()).sum();
+        let mut width = constant;
+        let columns: Vec<Range<usize>> = changes
+            .iter()
+            .map(|change| {
+                width += change.columns.len();
+                width - change.columns.len()..width
+            })
+            .collect();
+        let mut normal = Normal::zeros(width);
+        let mut information = DMatrix::zeros(width, width);
+        let mut scores = information.clone();
+        let mut start = 0;
+        let mut frames_at = Vec::new();
+        for stream in streams {
+            frames_at.push(start);
+            let (seen, seen_at): (Vec<StepOrDrift>, Vec<Range<usize>>) = changes
+                .iter()
+                .zip(&columns)
+                .filter_map(|(change, at)| Some((stream.seen(change)?, at.clone())))
+                .unzip();
+            let linear = stream.linearize(&seen);
+            let first = stream.columns.fit(&linear, &linear.first_weights());
+            let weights = linear.weights_after(first.as_slice());
+            let own = stream.columns.constant();
+            let targets: Vec<usize> =
+                (start..start + own).chain(seen_at.into_iter().flatten()).collect();
+            linear.accumulate(&weights, &targets, &mut normal);
+            let targets: Vec<Option<usize>> = targets.into_iter().map(Some).collect();
+            linear.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
+            // The prior is as good as samples.
+            let prior = stream.columns.prior();
+            for matrix in [&mut normal.matrix, &mut information, &mut scores] {
+                let mut own = matrix.view_mut((start, start), (own, own));
+                own += &prior;
+            }
+            start += own;
+        }
+        let all: Vec<usize> = (0..width).collect();
+        let none = DVector::zeros(width);
+        let step = normal.step(&none, &all);
+        let mut values = none;
+        for (columns, change) in columns.iter().zip(changes) {
+            values.rows_mut(columns.start, columns.len()).copy_from(&change.half);
+        }
+        let without = normal.step(&values, &all[..constant]);
+        let times = changes.iter().filter(|change| change.step.is_some()).count();
+        let price = price(normal.independent) * (width - constant + times) as f64;
+        let covariance = sandwich(&information, &scores);
+        let half = |columns: &Range<usize>| step.rows(columns.start, columns.len()).into_owned();
+        let own = |columns: &Range<usize>| {
+            let (start, len) = (columns.start, columns.len());
+            covariance.view((start, start), (len, len)).into_owned()
+        };
+        let twist = |first: usize| std::array::from_fn(|i| step[first + i]);
+        Self {
+            halves: columns.iter().map(half).collect(),
+            frames: frames_at.into_iter().map(|first| [twist(first), twist(first + 6)]).collect(),
+            covariances: columns.iter().map(own).collect(),
+            dof: (normal.independent - width as f64).max(3.0),
+            score: normal.cost_after(&without) - normal.cost_after(&step) - price,
+        }
+    }
+}
+
+/// Jumps of the recorded numbers, of the joint states and of each stream.
+struct RecordedJumps {
+    of_joints: Vec<Jump>,
+    of_streams: Vec<Vec<Jump>>,
+}
+
+impl RecordedJumps {
+    fn new(run: &ArmRun) -> Self {
+        let of_stream = |stream| jumps_in_logged_path(run.joints, stream);
+        Self {
+            of_joints: jumps_in_joints(run.joints),
+            of_streams: run.streams.iter().map(of_stream).collect(),
+        }
+    }
+
+    /// The jump that dates a step exactly, if there is one in its interval. A late step leaves a few samples with its whole size.
+    fn date(&self, Change { subject, step, .. }: &mut Change) {
+        let Some(step) = step else { return };
+        let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
+        let is_within =
+            |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
+        let strongest =
+            jumps.iter().filter(is_within).max_by(|a, b| a.strength.total_cmp(&b.strength));
+        if let Some(&Jump { at_s, within_s, .. }) = strongest {
+            *step = Jump { at_s, within_s, ..*step };
+        }
+    }
+}
+
+/// Several changes with their amounts.
+#[derive(Clone)]
+struct Candidate {
+    changes: Vec<Change>,
+    /// Constant changes of the reference and tool of each stream: twists.
+    frames: Vec<[[f64; 6]; 2]>,
+    score: f64,
+}
+
+impl Candidate {
+    /// The streams without the changes.
+    fn steady<'a>(&self, streams: &[Stream<'a>]) -> Vec<Stream<'a>> {
+        let pairs = streams.iter().zip(&self.frames);
+        pairs.map(|(stream, frames)| stream.without(&self.changes, frames)).collect()
+    }
+
+    /// Fits the amounts.
+    fn fitted(mut self, streams: &[Stream]) -> Self {
+        const GAUSS_NEWTON_STEPS: usize = 2;
+        for _ in 0..GAUSS_NEWTON_STEPS {
+            let fit = Fit::new(&self.steady(streams), &self.changes);
+            self.changes.iter_mut().zip(&fit.halves).for_each(|(it, more)| it.half += more);
+            let all = self.frames.iter_mut().flatten().flatten();
+            all.zip(fit.frames.iter().flatten().flatten()).for_each(|(it, more)| *it += more);
+        }
+        self.score = Fit::new(&self.steady(streams), &self.changes).score;
+        self
+    }
+
+    /// Leaves out changes while that is likelier: later ones can explain what an earlier one stood for.
+    fn reduced(mut self, streams: &[Stream]) -> Self {
+        while self.changes.len() > 1 {
+            let without = |left_out: usize| {
+                let mut fewer = self.clone();
+                fewer.changes.remove(left_out);
+                fewer.fitted(streams)
+            };
+            let fewer = (0..self.changes.len()).map(without);
+            match fewer.max_by(|a, b| a.score.total_cmp(&b.score)) {
+                Some(fewer) if fewer.score > self.score => self = fewer,
+                _ => break,
+            }
+        }
+        self
+    }
+}
+
+/// Adds the likeliest change until none is likely, and returns the likeliest number of them. The search uses the noise within
+/// tenths of the run, because the residual still contains the other changes.
+fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind) -> Candidate {
+    const MAX_CHANGES: usize = 4;
+    let frames = vec![[[0.0; 6]; 2]; streams.len()];
+    let mut current = Candidate { changes: Vec::new(), frames, score: 0.0 };
+    let mut likeliest = current.clone();
+    while current.changes.len() < MAX_CHANGES * streams.len() {
+        let steady = current.steady(streams);
+        let next = |stream: &Stream| stream.next_change(&current.changes, kind);
+        let next = steady.iter().filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((mut next, _)) = next else { break };
+        jumps.date(&mut next);
+        current.changes.push(next);
+        current = current.fitted(streams);
+        if current.score > likeliest.score {
+            likeliest = current.clone();
+        }
+    }
+    likeliest
+}
+
+/// Changes, and the diagnosis of the run without them.
+struct Removal {
+    changes: Vec<Change>,
+    patches: Vec<JointPatch>,
+    after: ArmDiagnosis,
+}
+
+/// `None` if the residual does not fall.
+fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Option<Removal> {
+    /// The later ones remove what constant causes had absorbed.
+    const MAX_ROUNDS: usize = 3;
+    /// Of the changes so far, for another round.
+    const MIN_RELATIVE_STEP: f64 = 0.02;
+    let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
+    let mut removal: Option<Removal> = None;
+    let mut more = changes.clone();
+    for _ in 0..MAX_ROUNDS {
+        let current = removal.as_ref().map_or(before, |removal| &removal.after);
+        for stream in Stream::all(run, current) {
+            if more.iter().any(|change| change.subject.stream() == Some(stream.index)) {
+                tracks[stream.index] = Some(stream.steady_track(&more));
+            }
+        }
+        let patches = joint_patches(run, &changes);
+        let mut joints = run.joints.clone();
+        patches.iter().for_each(|patch| patch.apply(&mut joints));
+        let streams = with_tracks(run.streams, &tracks);
+        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose();
+        if residual_m(&after) >= residual_m(current) {
+            break;
+        }
+        more.iter_mut().for_each(|change| change.half.fill(0.0));
+        let halves = Fit::new(&Stream::all(run, &after), &more).halves;
+        more.iter_mut().zip(halves).for_each(|(change, half)| change.half = half);
+        removal = Some(Removal { changes: changes.clone(), patches, after });
+        let norm = |changes: &[Change]| -> f64 {
+            changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
+        };
+        if norm(&more) < MIN_RELATIVE_STEP * norm(&changes) {
+            break;
+        }
+        changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
+    }
+    removal
+}
+
+/// Steps of a joint's zero in order of time, with half their sizes.
+fn zero_steps(changes: &[Change], column: usize) -> Vec<(Jump, f64)> {
+    let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
+    let mut steps: Vec<(Jump, f64)> =
+        own.filter_map(|change| Some((change.step?, change.half[0]))).collect();
+    steps.sort_by(|a, b| a.0.at_s.total_cmp(&b.0.at_s));
+    steps
+}
+
+/// Spans between steps of a joint's zero, and how much more is its zero there than in the longest.
+fn zero_levels(run: &ArmRun, steps: &[(Jump, f64)]) -> Vec<(f64, f64, f64)> {
+    let t_s = &run.joints.t_s;
+    let ends = [t_s.first(), t_s.last()].map(|end| end.copied().unwrap_or(0.0));
+    let times = || steps.iter().map(|(step, _)| step.at_s);
+    let mut level = 0.0;
+    let levels = std::iter::once(0.0).chain(steps.iter().map(|(_, half)| 2.0 * half));
+    let starts = std::iter::once(ends[0]).chain(times());
+    let spans = starts.zip(times().chain([ends[1]])).zip(levels);
+    let spans: Vec<(f64, f64, f64)> = spans
+        .map(|((from_s, to_s), step)| {
+            level += step;
+            (from_s, to_s, level)
+        })
+        .collect();
+    let longest = spans.iter().max_by(|a, b| (a.1 - a.0).total_cmp(&(b.1 - b.0)));
+    let typical = longest.map_or(0.0, |longest| longest.2);
+    spans.into_iter().map(|(from_s, to_s, level)| (from_s, to_s, level - typical)).collect()
+}
+
+/// Corrects joint zeros to that of the longest span.
+fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
+    let of_joint = |column: usize| {
+        let spans = zero_levels(run, &zero_steps(changes, column)).into_iter();
+        let last = spans.len().saturating_sub(1);
+        let patch = move |(index, (from_s, to_s, offset)): (usize, (f64, f64, f64))| JointPatch {
+            column,
+            exchanged_with: None,
+            from_s: if index == 0 { f64::NEG_INFINITY } else { from_s },
+            to_s: if index == last { f64::INFINITY } else { to_s },
+            factor: 1.0,
+            offset,
+        };
+        spans.enumerate().map(patch).filter(|patch| patch.offset != 0.0)
+    };
+    (0..run.joints.dof).flat_map(of_joint).collect()
+}
+
+impl Removal {
+    /// The diagnosis with the changes. `None` if one of them is not significant, or they leave a residual that link deviations
+    /// do not explain: unknown faults of joints can look like changes.
+    fn reported(self, run: &ArmRun, before: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        let Self { changes, patches, mut after } = self;
+        let found = after.clone();
+        let streams = Stream::all(run, &found);
+        let is_explained = |stream: &Stream| {
+            let seen = changes.iter().any(|change| stream.seen(change).is_some());
+            let columns = FrameColumns::new(stream.found, stream.columns.chain);
+            !seen || !has_slow_residual(stream.found) || !columns.has_unexplained_residual()
+        };
+        if !are_floating(run.streams) && !streams.iter().all(is_explained) {
+            return None;
+        }
+        let Fit { covariances, dof, .. } = Fit::new(&streams, &changes);
+        for (change, covariance) in changes.iter().zip(&covariances) {
+            let std_error = 2.0 * covariance[(0, 0)].sqrt();
+            let size = Measured { value: 2.0 * change.half[0], std_error, dof };
+            let is_significant = match change.subject {
+                Subject::Frame { stream, frame } => {
+                    let stream = streams.iter().find(|it| it.index == stream)?;
+                    let reported = stream.report_frame(change, frame, (covariance, dof), &changes);
+                    let FrameEstimate { translation_m, rotation_rad, .. } = &reported.size;
+                    if translation_m.value < MODEL_ERROR_M && rotation_rad.value < MODEL_ERROR_RAD {
+                        continue;
+                    }
+                    let differs = |size: &Measured| size.value > size.half_width(0.95);
+                    let is_significant = differs(translation_m) || differs(rotation_rad);
+                    let stream = &mut after.streams[stream.index];
+                    match frame {
+                        Frame::Reference => stream.reference_changes.push(reported),
+                        Frame::Tool => stream.tool_changes.push(reported),
+                    }
+                    is_significant
+                }
+                Subject::RadialScale { stream } => {
+                    let columns = &streams.iter().find(|it| it.index == stream)?.columns;
+                    let stream = &mut after.streams[stream];
+                    let base = stream.radial_scale.as_ref().ok();
+                    let base = base.filter(|_| stream.is_radial_scale_chosen);
+                    let middle = base.map_or(0.0, |base| base.value);
+                    let (at_s, within_s) = change.time(columns);
+                    stream.radial_scale_changes.push(ChangePoint {
+                        at_s,
+                        within_s,
+                        is_gradual: change.step.is_none(),
+                        from: middle - change.half[0],
+                        to: middle + change.half[0],
+                        size,
+                    });
+                    size.value.abs() > size.half_width(0.95)
+                }
+                Subject::Zero { column } => {
+                    let zero = report_zero(run, change, column, size, &changes, &found)?;
+                    after.joints.changes.push(JointChange {
+                        column,
+                        zero: Some(zero),
+                        factor: None,
+                    });
+                    size.value.abs() > size.half_width(0.95)
+                }
+            };
+            if !is_significant {
+                return None;
+            }
+        }
+        for (s, stream) in after.streams.iter_mut().enumerate() {
+            stream.reference_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+            stream.tool_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+            stream.radial_scale_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+            let is_own = changes.iter().any(|change| change.subject.stream() == Some(s));
+            if is_own {
+                keep_encoding(&before.streams[s], stream);
+            }
+            if is_own || !patches.is_empty() {
+                restore_recorded(run.joints, &run.streams[s], stream);
+            }
+        }
+        let is_reported = !after.joints.changes.is_empty()
+            || after.streams.iter().any(PoseDiagnosis::has_changes);
+        after.joints.patches = patches;
+        report_confounders(run, &mut after);
+        is_reported.then_some(after)
+    }
+}
+
+fn report_zero(
+    run: &ArmRun,
+    change: &Change,
+    column: usize,
+    size: Measured,
+    all: &[Change],
+    found: &ArmDiagnosis,
+) -> Option<ScalarChange> {
+    let step = change.step?;
+    let spans = zero_levels(run, &zero_steps(all, column));
+    let level = |is_next: fn(f64, f64, f64) -> bool| {
+        let own = spans.iter().find(|(from_s, to_s, _)| is_next(*from_s, *to_s, step.at_s));
+        own.map_or(0.0, |own| own.2)
+    };
+    let base = found.joints.offsets.get(column).filter(|offset| offset.is_chosen);
+    let base = base.and_then(|offset| offset.offset.as_ref().ok()).map_or(0.0, |it| it.value);
+    Some(ChangePoint {
+        at_s: step.at_s,
+        within_s: step.within_s,
+        is_gradual: false,
+        from: base + level(|_, to_s, at_s| to_s == at_s),
+        to: base + level(|from_s, _, at_s| from_s == at_s),
+        size,
+    })
+}
+
+/// For a single stream, the first joint's zero is equivalent to a base rotation, the last joint's to a tool rotation.
+fn report_confounders(run: &ArmRun, after: &mut ArmDiagnosis) {
+    let [stream] = run.streams else { return };
+    let joints = &mut after.joints;
+    for change in &joints.changes {
+        let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());
+        let is_at = |end: Option<&usize>| end == Some(&change.column);
+        let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
+        let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
+        if let Some(offset) = joints.offsets.get_mut(change.column) {
+            offset.confounders = base.into_iter().chain(tool).collect();
+        }
+    }
+}
+
+/// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the run as it is. `None` if
+/// nothing changes.
+pub(crate) fn diagnose_with_cause_changes(
+    run: &ArmRun,
+    diagnosis: &ArmDiagnosis,
+) -> Option<ArmDiagnosis> {
+    let streams = Stream::all(run, diagnosis);
+    // One at a time, steps of several joints look like a frame, and a frame that returns looks like a joint.
+    let jumps = RecordedJumps::new(run);
+    let searched = ChangeKind::ALL.map(|kind| search(&streams, &jumps, kind));
+    let likeliest = searched.into_iter().max_by(|a, b| a.score.total_cmp(&b.score))?;
+    let changes = likeliest.reduced(&streams).changes;
+    if changes.is_empty() {
+        return None;
+    }
+    remove(run, diagnosis, changes)?.reported(run, diagnosis)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion;
+    use crate::test_random::Lcg;
+    use crate::{ArmDiagnosis, PoseStream, diagnose_run};
+    use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
+    use ground::robot::{Chain, catalogue};
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// The test arm, with links that deviate by this much, m, and 0.1° per mm.
+    fn deviating_chain(link_m: f64) -> Chain {
+        let robot = catalogue::find("ur5e").expect("it is in the catalogue");
+        let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+        let path = robot.link_path(base, tip).expect("a serial arm");
+        let mut random = Lcg::new();
+        let deviations: Vec<Pose> = (0..7)
+            .map(|_| {
+                let [shift, turn] = [link_m, 1.745 * link_m].map(|size| random.triple(size));
+                pose(shift, rotation_from_rotvec(turn.into()))
+            })
+            .collect();
+        let robot = robot.with_deviations(&path, &deviations, &[]);
+        let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+        robot.chain(base, tip).expect("a chain")
+    }
+
+    /// Diagnosis of poses of the deviating arm in a world and a marker frame that are unknown, with 0.1 mm of noise.
+    fn diagnosed(link_m: f64, changes: impl Fn(f64) -> [Vec3; 2]) -> ArmDiagnosis {
+        let (joints, chain) = test_motion::arm();
+        let deviating = deviating_chain(link_m);
+        let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
+        let marker = pose([0.02, 0.01, 0.06], rotation_from_rotvec(Vec3::new(0.3, -0.2, 0.5)));
+        let shift = |by: Vec3| Pose::from_parts(by.into(), Rotation::identity());
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).zip(&joints.t_s).map(|(q, &t_s)| {
+            let [of_base, of_tool] = changes(t_s).map(shift);
+            let mut logged = world * of_base * deviating.forward(q) * marker * of_tool;
+            logged.translation.vector += Vec3::from(random.triple(1e-4));
+            (logged.translation.vector, logged.rotation)
+        });
+        let (xyz, rotations) = poses.unzip();
+        let track = PoseTrack {
+            t_s: joints.t_s.clone(),
+            xyz,
+            orientation: Orientations::Rotations(rotations),
+            declared: None,
+        };
+        let stream =
+            PoseStream { reference_known: false, ..test_motion::tip_stream(&track, &chain) };
+        diagnose_run(&joints, &[stream], &[false; 6], 1.0)
+    }
+
+    /// Diagnosis of the deviating arm's poses, whose joints report less by this many degrees.
+    fn diagnosed_zeros(link_m: f64, missing: impl Fn(f64, usize) -> f64) -> ArmDiagnosis {
+        let (mut joints, chain) = test_motion::arm();
+        let deviating = deviating_chain(link_m);
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).map(|q| deviating.forward(q));
+        let poses = poses.map(|pose| {
+            let [shift, turn] = [2e-5, 2e-5].map(|size| random.triple(size));
+            let turn = rotation_from_rotvec(turn.into());
+            (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
+        });
+        let (xyz, rotations) = poses.unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        for (row, q) in joints.q.chunks_mut(6).enumerate() {
+            let t_s = joints.t_s[row];
+            q.iter_mut().enumerate().for_each(|(joint, q)| *q -= missing(t_s, joint).to_radians());
+        }
+        diagnose_run(&joints, &[test_motion::tip_stream(&track, &chain)], &[false; 6], 1.0)
+    }
+
+    #[test]
+    fn a_small_step_of_a_joint_zero_is_measured() {
+        for link_m in LINK_M {
+            let step = |t_s: f64, joint| if joint == 2 && t_s > 11.0 { 0.15 } else { 0.0 };
+            let found = diagnosed_zeros(link_m, step).joints;
+            let [change] = found.changes.as_slice() else {
+                panic!("{link_m}: {:?}", found.changes)
+            };
+            let zero = change.zero.as_ref().expect("a zero");
+            let is_right = (zero.size.value.to_degrees() - 0.15).abs() < 0.01
+                && change.column == 2
+                && (zero.at_s - 11.0).abs() < 0.1;
+            assert!(is_right, "{link_m}: {change:?}");
+        }
+    }
+
+    #[test]
+    fn three_zeros_lost_at_once_are_measured() {
+        let lost = [0.0, 1.2, 1.4, 0.0, -1.1, 0.0];
+        let step = |t_s: f64, joint: usize| if t_s > 8.0 { lost[joint] } else { 0.0 };
+        for link_m in [0.0, 1e-4] {
+            let found = diagnosed_zeros(link_m, step);
+            let mut changes: Vec<(usize, f64)> = Vec::new();
+            for change in &found.joints.changes {
+                let zero = change.zero.as_ref().expect("a zero");
+                changes.push((change.column, zero.size.value.to_degrees()));
+            }
+            changes.sort_by_key(|change| change.0);
+            let is_near = changes.len() == 3
+                && changes.iter().all(|(column, size)| (size - lost[*column]).abs() < 0.02);
+            assert!(is_near, "{link_m}: {changes:?}");
+            let stream = &found.streams[0];
+            let frames = (&stream.reference_changes, &stream.tool_changes);
+            assert!(!stream.has_changes(), "{link_m}: {frames:?} {:?}", stream.encoding_spans);
+        }
+    }
+
+    const LINK_M: [f64; 3] = [0.0, 1e-4, 3e-4];
+
+    #[test]
+    fn constant_frames_of_a_deviating_arm_do_not_change() {
+        for link_m in LINK_M {
+            let found = diagnosed(link_m, |_| [Vec3::zeros(); 2]);
+            assert!(!found.streams[0].has_changes(), "{link_m}: {:?}", found.streams[0]);
+        }
+    }
+
+    #[test]
+    fn a_slip_of_a_deviating_arms_tool_is_measured() {
+        let slip = Vec3::new(1.2e-3, 0.0, -1.6e-3);
+        for link_m in LINK_M {
+            let found = diagnosed(link_m, |t_s| {
+                [Vec3::zeros(), if t_s < 9.0 { Vec3::zeros() } else { slip }]
+            });
+            let found = &found.streams[0];
+            let [change] = found.tool_changes.as_slice() else {
+                panic!("{link_m}: {:?} {:?}", found.tool_changes, found.reference_changes)
+            };
+            assert!((change.at_s - 9.0).abs() < 0.1, "{link_m}: {change:?}");
+            let size = &change.size.translation_m;
+            assert!((size.value - 2e-3).abs() < 1e-4, "{link_m}: {size:?}");
+            assert!((size.value - 2e-3).abs() < 2.0 * size.half_width(0.95), "{link_m}: {size:?}");
+            assert!(found.reference_changes.is_empty(), "{link_m}");
+        }
+    }
+
+    #[test]
+    fn a_base_that_moves_and_returns_has_two_steps() {
+        for link_m in LINK_M {
+            let found = diagnosed(link_m, |t_s| {
+                let is_away = (6.0..13.0).contains(&t_s);
+                [if is_away { Vec3::new(0.0, 4e-3, 0.0) } else { Vec3::zeros() }, Vec3::zeros()]
+            });
+            let changes = &found.streams[0].reference_changes;
+            let at_s: Vec<f64> = changes.iter().map(|change| change.at_s).collect();
+            let is_dated =
+                at_s.len() == 2 && (at_s[0] - 6.0).abs() < 0.1 && (at_s[1] - 13.0).abs() < 0.1;
+            assert!(is_dated, "{link_m}: {changes:?}");
+            for change in changes {
+                let size_m = change.size.translation_m.value;
+                assert!((size_m - 4e-3).abs() < 2e-4, "{link_m}: {change:?}");
+            }
+        }
+    }
+}
