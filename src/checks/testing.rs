@@ -309,6 +309,7 @@ fn clean_stream() -> PoseDiagnosis {
             before_rad: 1e-5,
         }),
         is_nominal: false,
+        is_derived: false,
         link_m: None,
         observability: None,
         top_speed_m_s: 0.8,

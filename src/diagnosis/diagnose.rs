@@ -14,7 +14,7 @@ use crate::changes::{
 use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::has_slow_residual;
-use crate::selection::evidence::{likeliest, log_bayes_factor};
+use crate::selection::evidence::{fits_as_well, likeliest, log_bayes_factor};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
@@ -36,15 +36,24 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
     if run.streams.len() < 2 || are_floating(run.streams) {
         return None;
     }
-    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
-        has_slow_residual(found) && !is_explained_by_links(found, stream)
+    let is_explained = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
+        !has_slow_residual(found) || is_explained_by_links(found, stream)
     };
-    if !together.streams.iter().zip(run.streams).any(is_open) {
+    let is_open = !together.streams.iter().zip(run.streams).all(is_explained);
+    // A stream in a frame of its own is seen from outside; one in the robot's frame may be the controller's.
+    if !is_open && run.streams.iter().all(|stream| stream.reference_known) {
         return None;
     }
     let derived = run.streams.iter().map(|stream| {
-        let found = diagnose_derived(run.joints, None, stream, run.max_lag_s);
-        (!has_slow_residual(&found)).then_some(found)
+        let may_be_derived = is_open || stream.reference_known;
+        let found =
+            may_be_derived.then(|| diagnose_derived(run.joints, None, stream, run.max_lag_s))?;
+        let is_nominal = has_slow_residual(&found);
+        is_explained((&found, stream)).then_some(PoseDiagnosis {
+            is_nominal,
+            is_derived: true,
+            ..found
+        })
     });
     let derived: Vec<Option<PoseDiagnosis>> = derived.collect();
     let is_derived = |s: &usize| derived[*s].is_some();
@@ -60,7 +69,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
     };
     let has_zeros = !apart.joints.changes.is_empty()
         || apart.joints.offsets.iter().any(|offset| offset.is_chosen);
-    if !has_zeros || log_bayes_factor(&apart, &common) <= 0.0 {
+    if !has_zeros || !fits_as_well(&apart, &common) {
         return None;
     }
     let mut others = apart.streams.into_iter();

@@ -438,6 +438,8 @@ pub struct PoseDiagnosis {
     pub is_nominal: bool,
     /// Standard deviation of these deviations, m (0.1° per mm).
     pub link_m: Option<f64>,
+    /// Whether the poses are FK of the joint states as recorded, whose zeros another stream contradicts.
+    pub is_derived: bool,
     /// Observability. `None` without a fit.
     pub observability: Option<Observability>,
     /// Maximum tip speed by FK, m/s.

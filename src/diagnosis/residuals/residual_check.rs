@@ -155,13 +155,14 @@ pub fn check_residual(
         let series = ErrorSeries::from_poses(&aligned.t_s, poses, fk, has_rotation);
         (aligned.t_s.len() >= MIN_SAMPLES).then(|| series.error(&moves, at_rest))
     };
+    let true_joints = if diagnosis.is_derived { joints } else { corrected_joints };
     Ok(ResidualCheck {
         is_at_rest: at_rest,
         as_logged,
         corrected: error(&aligned.corrected, &aligned.fk_at_truth, true),
         poses_corrected: error(&aligned.corrected, &aligned.fk, true),
         joints_corrected: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
-        calibrated: residual_with_calibration(corrected_joints, stream, diagnosis, at_rest),
+        calibrated: residual_with_calibration(true_joints, stream, diagnosis, at_rest),
     })
 }
 

@@ -22,6 +22,11 @@ pub(crate) fn log_bayes_factor(one: &ArmDiagnosis, other: &ArmDiagnosis) -> f64 
     gain - price(independent) * (parameter_count(one) as f64 - parameter_count(other) as f64)
 }
 
+/// Whether `one` is as likely as `other`, whatever their numbers of parameters.
+pub(crate) fn fits_as_well(one: &ArmDiagnosis, other: &ArmDiagnosis) -> bool {
+    log_likelihood_ratio(one, other).0 >= 0.0
+}
+
 /// The likeliest of several diagnoses of one run.
 pub(crate) fn likeliest(diagnoses: impl IntoIterator<Item = ArmDiagnosis>) -> Option<ArmDiagnosis> {
     let likelier = |best, one| if log_bayes_factor(&one, &best) > 0.0 { one } else { best };
