@@ -147,3 +147,55 @@ fn diagnose_with_varying_causes(
     };
     by_segments.into_iter().chain(others).reduce(likelier)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_motion;
+    use crate::test_random::Lcg;
+    use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// A controller computes its poses from the same encoders, with its own calibration; a tracker in an unknown world
+    /// sees where the arm is.
+    #[test]
+    fn a_tracker_shows_a_zero_that_the_controller_cannot_see() {
+        const ZERO_RAD: f64 = 0.012;
+        let (joints, chain) = test_motion::arm();
+        let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
+        let marker = pose([0.02, 0.01, 0.06], rotation_from_rotvec(Vec3::new(0.3, -0.2, 0.5)));
+        for link_m in [0.0, 2e-4] {
+            let deviating = test_motion::deviating_chain(link_m);
+            let mut random = Lcg::new();
+            let mut track = |pose_of: &dyn Fn(&[f64]) -> Pose| {
+                let noisy = |q: &[f64]| {
+                    let [shift, turn] = [1e-4, 1e-4].map(|size| random.triple(size));
+                    let pose = pose_of(q);
+                    let turn = rotation_from_rotvec(turn.into());
+                    (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
+                };
+                let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
+                let orientation = Orientations::Rotations(rotations);
+                PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
+            };
+            let controller = track(&|q| deviating.forward(q));
+            let tracker = track(&|q| {
+                let mut q = q.to_vec();
+                q[2] += ZERO_RAD;
+                world * deviating.forward(&q) * marker
+            });
+            let streams = [
+                test_motion::tip_stream(&controller, &chain),
+                PoseStream { reference_known: false, ..test_motion::tip_stream(&tracker, &chain) },
+            ];
+            let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
+            let chosen: Vec<usize> =
+                (0..6).filter(|joint| found.joints.offsets[*joint].is_chosen).collect();
+            assert_eq!(chosen, [2], "{link_m}");
+            let zero = found.joints.offsets[2].offset.as_ref().expect("an offset");
+            assert!((zero.value - ZERO_RAD).abs() < zero.half_width(0.99), "{link_m}: {zero:?}");
+            let are_derived = [0, 1].map(|s: usize| found.streams[s].is_derived);
+            assert_eq!(are_derived, [true, false], "{link_m}");
+        }
+    }
+}

@@ -1,6 +1,8 @@
 //! Motion shared by tests.
 
 use crate::PoseStream;
+use crate::test_random::Lcg;
+use ground::geometry::{Pose, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use ground::stream::{JointTrack, PoseTrack};
 
@@ -33,4 +35,21 @@ pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> 
         stamps_copied: false,
         removed_ramp: None,
     }
+}
+
+/// The test arm, with links that deviate by this much, m, and 0.1° per mm.
+pub fn deviating_chain(link_m: f64) -> Chain {
+    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    let path = robot.link_path(base, tip).expect("a serial arm");
+    let mut random = Lcg::new();
+    let deviations: Vec<Pose> = (0..7)
+        .map(|_| {
+            let [shift, turn] = [link_m, 1.745 * link_m].map(|size| random.triple(size));
+            pose(shift, rotation_from_rotvec(turn.into()))
+        })
+        .collect();
+    let robot = robot.with_deviations(&path, &deviations, &[]);
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    robot.chain(base, tip).expect("a chain")
 }

@@ -722,30 +722,12 @@ mod tests {
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, PoseStream, diagnose_run};
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
-    use ground::robot::{Chain, catalogue};
     use ground::stream::{Orientations, PoseTrack};
-
-    /// The test arm, with links that deviate by this much, m, and 0.1° per mm.
-    fn deviating_chain(link_m: f64) -> Chain {
-        let robot = catalogue::find("ur5e").expect("it is in the catalogue");
-        let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
-        let path = robot.link_path(base, tip).expect("a serial arm");
-        let mut random = Lcg::new();
-        let deviations: Vec<Pose> = (0..7)
-            .map(|_| {
-                let [shift, turn] = [link_m, 1.745 * link_m].map(|size| random.triple(size));
-                pose(shift, rotation_from_rotvec(turn.into()))
-            })
-            .collect();
-        let robot = robot.with_deviations(&path, &deviations, &[]);
-        let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
-        robot.chain(base, tip).expect("a chain")
-    }
 
     /// Diagnosis of poses of the deviating arm in a world and a marker frame that are unknown, with 0.1 mm of noise.
     fn diagnosed(link_m: f64, changes: impl Fn(f64) -> [Vec3; 2]) -> ArmDiagnosis {
         let (joints, chain) = test_motion::arm();
-        let deviating = deviating_chain(link_m);
+        let deviating = test_motion::deviating_chain(link_m);
         let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
         let marker = pose([0.02, 0.01, 0.06], rotation_from_rotvec(Vec3::new(0.3, -0.2, 0.5)));
         let shift = |by: Vec3| Pose::from_parts(by.into(), Rotation::identity());
@@ -771,7 +753,7 @@ mod tests {
     /// Diagnosis of the deviating arm's poses, whose joints report less by this many degrees.
     fn diagnosed_zeros(link_m: f64, missing: impl Fn(f64, usize) -> f64) -> ArmDiagnosis {
         let (mut joints, chain) = test_motion::arm();
-        let deviating = deviating_chain(link_m);
+        let deviating = test_motion::deviating_chain(link_m);
         let mut random = Lcg::new();
         let poses = joints.q.chunks(6).map(|q| deviating.forward(q));
         let poses = poses.map(|pose| {
