@@ -343,6 +343,10 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
             format!("{width} numbers per row are not a pose (6, 7, 12 or 16 are)"),
         );
     }
+    // Whatever the motion: joints in a wrong order or with wrong signs do not follow it.
+    if let Some(driver) = find_driver(&topic_words) {
+        return (Role::Pose, format!("the name that {driver} use for the tool pose"));
+    }
     (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
 }
 
