@@ -7,8 +7,28 @@ use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
 /// Last words of the names of time columns.
-const TIME_WORDS: &[&str] =
-    &["timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed"];
+const TIME_WORDS: &[&str] = &[
+    "timestamp",
+    "timestamps",
+    "time",
+    "times",
+    "t",
+    "stamp",
+    "stamps",
+    "ts",
+    "ipoc",
+    "elapsed",
+    "zeit",
+    "zeitstempel",
+    "uhrzeit",
+    "temps",
+    "tiempo",
+    "tempo",
+    "时间",
+    "时间戳",
+    "時間",
+    "時刻",
+];
 /// Units in seconds.
 const UNIT_WORDS: &[(&str, f64)] = &[
     ("ns", 1e-9),
@@ -100,7 +120,9 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(from_rate(table, rate_hz, "from `columns.rate_hz`"));
     }
-    let best = best_clock(clocks_by_name(table), table);
+    let mut clocks = clocks_by_name(table);
+    clocks.retain(Clock::covers_most_rows);
+    let best = best_clock(clocks, table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
@@ -172,6 +194,16 @@ pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     groups.into_iter().filter_map(best).collect()
 }
 
+/// Clocks of some of the columns, outside of groups: all that are named as times but `main`.
+pub(super) fn further_clocks(table: &Table, main: &Clock) -> Vec<Clock> {
+    let mut clocks = clocks_by_name(table);
+    clocks.retain(|clock| {
+        let name = clock.cell.map(|(at, _)| table.columns[at].name.as_str());
+        clock.cell != main.cell && name.is_some_and(|name| group_of(name).is_none())
+    });
+    clocks
+}
+
 pub(super) fn group_of(name: &str) -> Option<&str> {
     name.rsplit_once('/').map(|(group, _)| group)
 }
@@ -184,7 +216,7 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
     let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
-            1 => from_column(at, column, None),
+            1 => from_sparse_column(at, column, None),
             2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
             _ => None,
         })
@@ -409,15 +441,20 @@ fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     }
 }
 
-/// `None` if it does not hold times. `unit_s` is declared.
+/// `None` if it does not hold times in at least half of the rows. `unit_s` is declared.
 fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
+    from_sparse_column(at, column, unit_s).filter(Clock::covers_most_rows)
+}
+
+/// The other rows may be those of other streams.
+fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let back = steps.iter().filter(|step| **step < 0.0).count();
     let mut ahead: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
     let step = median(&mut ahead)?;
-    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) || 2 * finite.len() < values.len() {
+    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) {
         return None;
     }
     let (first, words) = (*finite.first()?, names::split_words(&column.name));
@@ -504,6 +541,21 @@ fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
 }
 
 impl Clock {
+    fn covers_most_rows(&self) -> bool {
+        2 * self.stamps.iter().flatten().count() >= self.stamps.len()
+    }
+
+    /// Words of its name that are neither times nor units, in the singular: `tcp` of `tcp_times`.
+    pub fn stream_words(&self, table: &Table) -> Vec<String> {
+        let name = self.cell.map_or("", |(at, _)| table.columns[at].name.as_str());
+        let mut words = names::split_words(name);
+        words.retain(|word| {
+            let word = word.as_str();
+            !TIME_WORDS.contains(&word) && UNIT_WORDS.iter().all(|(unit, _)| *unit != word)
+        });
+        words.iter().map(|word| names::singular(word).to_owned()).collect()
+    }
+
     pub fn first(&self) -> i64 {
         self.stamps.iter().flatten().next().copied().unwrap_or(0)
     }
