@@ -330,7 +330,7 @@ fn joints_in_degrees_are_converted_and_noted() {
 }
 
 #[test]
-fn radians_in_columns_named_in_degrees_are_a_wrong_unit() {
+fn units_in_column_names_are_compared_with_the_motion() {
     let folder = tempfile::tempdir().expect("a folder");
     let header = |joint: &str, position: &str| {
         let joints: String = (1..=JOINTS).map(|number| format!(",joint{number}_{joint}")).collect();
@@ -341,9 +341,9 @@ fn radians_in_columns_named_in_degrees_are_a_wrong_unit() {
         write_columns(&path, &header(joint, position), &table.rows(), 1..8 + JOINTS);
         audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report")
     };
+    // As degrees, the joints hardly move, and no pose follows them.
     let wrong = audited("deg", "m", &CLEAN);
-    assert_eq!(fault_codes(&wrong), ["ORD004"], "{:?}", wrong.findings);
-    assert!(wrong.findings[0].message.contains("are radians but were declared as degrees"));
+    assert_eq!(wrong.verdict, Verdict::Inconclusive, "{:?}", wrong.findings);
     let right = audited("deg", "m", &Table { joint_factor: 1_f64.to_degrees(), ..CLEAN });
     assert_eq!(fault_codes(&right), [""; 0], "{:?}", right.findings);
     let millimetres = audited("rad", "mm", &CLEAN);

@@ -97,6 +97,15 @@ pub(super) fn is_time(name: &str) -> bool {
         && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
 }
 
+/// Whether a name begins with a word for times, as `time_joints` and `time_tcp` do.
+fn begins_with_time(name: &str) -> bool {
+    const FIRST_WORDS: &[&str] =
+        &["time", "times", "timestamp", "timestamps", "stamp", "stamps", "zeit", "zeitstempel"];
+    let words = names::split_words(name);
+    words.first().is_some_and(|word| FIRST_WORDS.contains(&word.as_str()))
+        && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
+}
+
 /// # Errors
 /// If the row times are unknown or ambiguous, or the configured column does not hold times.
 pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
@@ -122,6 +131,10 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     }
     let mut clocks = clocks_by_name(table);
     clocks.retain(Clock::covers_most_rows);
+    let is_of_rows = |clock: &Clock| clock.name(table).is_none_or(is_time);
+    if clocks.iter().any(is_of_rows) {
+        clocks.retain(is_of_rows);
+    }
     let best = best_clock(clocks, table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
@@ -198,8 +211,8 @@ pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
 pub(super) fn further_clocks(table: &Table, main: &Clock) -> Vec<Clock> {
     let mut clocks = clocks_by_name(table);
     clocks.retain(|clock| {
-        let name = clock.cell.map(|(at, _)| table.columns[at].name.as_str());
-        clock.cell != main.cell && name.is_some_and(|name| group_of(name).is_none())
+        let is_outside = clock.name(table).is_some_and(|name| group_of(name).is_none());
+        clock.cell != main.cell && is_outside
     });
     clocks
 }
@@ -213,7 +226,8 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
     // Kawasaki's third angle is also named T.
     let has = |name: &str| table.columns.iter().any(|column| column.name == name);
     let is_angle = |name: &str| name == "T" && has("O") && has("A");
-    let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
+    let is_named = |name: &str| is_time(name) || begins_with_time(name);
+    let times = columns().filter(|(_, column)| is_named(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
             1 => from_sparse_column(at, column, None),
@@ -545,10 +559,13 @@ impl Clock {
         2 * self.stamps.iter().flatten().count() >= self.stamps.len()
     }
 
+    fn name<'a>(&self, table: &'a Table) -> Option<&'a str> {
+        self.cell.map(|(at, _)| table.columns[at].name.as_str())
+    }
+
     /// Words of its name that are neither times nor units, in the singular: `tcp` of `tcp_times`.
     pub fn stream_words(&self, table: &Table) -> Vec<String> {
-        let name = self.cell.map_or("", |(at, _)| table.columns[at].name.as_str());
-        let mut words = names::split_words(name);
+        let mut words = names::split_words(self.name(table).unwrap_or_default());
         words.retain(|word| {
             let word = word.as_str();
             !TIME_WORDS.contains(&word) && UNIT_WORDS.iter().all(|(unit, _)| *unit != word)

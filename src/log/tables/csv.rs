@@ -337,10 +337,9 @@ pub(super) fn read_rows(
         }
         for (at, (cell, own)) in row.iter().zip(&numbers).enumerate() {
             values[at].push(*own);
-            let is_text = is_text(cell, *own);
-            text_counts[at] += usize::from(is_text);
+            text_counts[at] += usize::from(is_text(cell, *own));
             // An empty cell says less than a later text.
-            if is_text && texts[at].is_none_or(<[u8]>::is_empty) {
+            if own.is_nan() && texts[at].is_none_or(<[u8]>::is_empty) {
                 texts[at] = Some(*cell);
             }
         }

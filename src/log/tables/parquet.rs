@@ -648,8 +648,8 @@ impl LeafValues {
         {
             return Err(column.name);
         }
-        // With many empty lists, the stream is slower than the table; nothing is lost.
-        const MIN_EMPTY_PERCENT: usize = 10;
+        // With many empty lists, the table has other streams; nothing is lost.
+        const MIN_EMPTY_PERCENT: usize = 25;
         let empty = lengths.iter().filter(|length| **length == 0).count();
         let is_sparse = 100 * empty >= MIN_EMPTY_PERCENT * lengths.len();
         let mut whole = Vec::with_capacity(width * lengths.len());

@@ -22,13 +22,18 @@ fn npz(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
     archive.finish().expect("an archive").into_inner()
 }
 
+/// No time: it does not increase.
+fn wave(at: usize) -> f64 {
+    (0.01 * at as f64).sin()
+}
+
 /// Joint states at 100 Hz and poses at 40 Hz, each with its times.
 fn two_rates() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("t_joint", array_of(&[500], |row| 5.0 + 0.01 * row as f64)),
-        ("q", array_of(&[500, 6], |at| 1e-3 * at as f64)),
+        ("q", array_of(&[500, 6], wave)),
         ("t_pose", array_of(&[200], |row| 5.004 + 0.025 * row as f64)),
-        ("tcp_pose", array_of(&[200, 6], |at| 1e-3 * at as f64)),
+        ("tcp_pose", array_of(&[200, 6], wave)),
     ]
 }
 
@@ -51,13 +56,13 @@ fn arrays_with_times_of_their_own_are_streams() {
 fn transposed_arrays_of_two_rates_are_turned() {
     let arrays = [
         ("tq", array_of(&[1, 500], |row| 0.01 * row as f64)),
-        ("q", array_of(&[7, 500], |at| at as f64 * 1e-3)),
+        ("q", array_of(&[7, 500], wave)),
         ("tp", array_of(&[1, 200], |row| 0.025 * row as f64)),
-        ("tcp_pose", array_of(&[6, 200], |at| at as f64 * 1e-3)),
+        ("tcp_pose", array_of(&[6, 200], wave)),
     ];
     let log = plain(&npz(&arrays));
-    assert_eq!(joints(&log, "q").1[1][..2], [0.001, 0.501]);
-    assert_eq!(array(&log, "tcp_pose").1[..2], [0.0, 0.2]);
+    assert_eq!(joints(&log, "q").1[1][..2], [wave(1), wave(501)]);
+    assert_eq!(array(&log, "tcp_pose").1[..2], [wave(0), wave(200)]);
 }
 
 #[test]
@@ -156,7 +161,7 @@ fn files_with_the_same_counters_are_one_run() {
         |name: &str| topic(&log, name).columns.as_ref().expect("columns").times()[0].log[0];
     assert_eq!(received("q"), received("tool"));
     // The same joints again are the next episode.
-    let again = file("again.csv", "q1,q2,q3,q4,q5,q6", "0.1,0.2,0.3,0.4,0.5,0.6");
+    let again = file("again.csv", "q1,q2,q3,q4,q5,q6", "0.1,0.2,0.3,0.4,0.5,0.7");
     let log = open(&[paths[0].clone(), again], &ReadOptions::default()).expect("a log");
     let times = topic(&log, "q").columns.as_ref().expect("columns").times()[0].log.clone();
     assert!(times.windows(2).all(|pair| pair[0] < pair[1]));
@@ -167,9 +172,9 @@ fn columns_have_the_times_that_are_named_like_them() {
     let late_s = 0.017;
     let arrays = [
         ("joint_time", array_of(&[200], |row| 5.0 + 0.01 * row as f64)),
-        ("joint_position", array_of(&[200, 6], |at| 1e-3 * at as f64)),
+        ("joint_position", array_of(&[200, 6], wave)),
         ("tcp_time", array_of(&[200], |row| 5.0 + late_s + 0.01 * row as f64)),
-        ("tcp_pose", array_of(&[200, 6], |at| 1e-3 * at as f64)),
+        ("tcp_pose", array_of(&[200, 6], wave)),
     ];
     let log = plain(&npz(&arrays));
     assert_eq!(stamps(&log, "joint_position")[0], 5_000_000_000);
