@@ -63,6 +63,15 @@ fn the_meaning_that_is_found_can_be_stated_with_the_same_result() {
 }
 
 #[test]
+fn radians_that_are_declared_as_degrees_are_a_wrong_unit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let logs = [write(folder.path(), "run.csv", &text(&CLEAN.rows()))];
+    let layout = Some("t,q[6]:deg,x,y,z,rot[4]");
+    let wrong = audit_with(&logs, Some("ur5e"), layout).expect("a report");
+    assert_eq!(fault_codes(&wrong), ["ORD004"], "{:?}", wrong.findings);
+}
+
+#[test]
 fn a_table_of_joints_ends_with_a_proposal_that_is_audited_when_pasted() {
     let folder = tempfile::tempdir().expect("a folder");
     // A counter, the joints, and a constant.

@@ -330,6 +330,27 @@ fn joints_in_degrees_are_converted_and_noted() {
 }
 
 #[test]
+fn units_in_column_names_are_compared_with_the_motion() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let header = |joint: &str, position: &str| {
+        let joints: String = (1..=JOINTS).map(|number| format!(",joint{number}_{joint}")).collect();
+        format!("time{joints},x_{position},y_{position},z_{position},qx,qy,qz,qw")
+    };
+    let audited = |joint: &str, position: &str, table: &Table| {
+        let path = folder.path().join("run.csv");
+        write_columns(&path, &header(joint, position), &table.rows(), 1..8 + JOINTS);
+        audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report")
+    };
+    // As degrees, the joints hardly move, and no pose follows them.
+    let wrong = audited("deg", "m", &CLEAN);
+    assert_eq!(wrong.verdict, Verdict::Inconclusive, "{:?}", wrong.findings);
+    let right = audited("deg", "m", &Table { joint_factor: 1_f64.to_degrees(), ..CLEAN });
+    assert_eq!(fault_codes(&right), [""; 0], "{:?}", right.findings);
+    let millimetres = audited("rad", "mm", &CLEAN);
+    assert_eq!(fault_codes(&millimetres), ["META001"], "{:?}", millimetres.findings);
+}
+
+#[test]
 fn joints_in_percent_are_not_taken_for_degrees() {
     let shares = Table { joint_factor: 100.0 / 3.0, ..CLEAN };
     let report = report_on_table(&shares, Some("ur5e"));

@@ -236,7 +236,7 @@ fn report_inferred_length(topic: &str, error: &LengthUnitError) -> Outcome {
     })
 }
 
-fn inferred_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
+pub(super) fn inferred_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length_unit.as_ref().ok().copied().flatten().map(|error| error.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)

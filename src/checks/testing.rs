@@ -136,6 +136,7 @@ pub fn clean_run() -> RunEvidence {
         joints_topic: JOINTS.to_owned(),
         is_trajectory: false,
         joint_clock: None,
+        joint_topic: None,
         has_unknown_units: false,
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
@@ -180,6 +181,7 @@ pub fn clean_run() -> RunEvidence {
             },
         )],
         is_in_degrees_by_magnitude: false,
+        is_converted_from_degrees: false,
         references: vec![stream_evidence(COMMANDS, commands())],
     };
     let frozen = stream_evidence(POSE, Vec::new());
@@ -339,6 +341,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         is_undeclared: false,
         declared: None,
         labels: None,
+        named_units: crate::geometry::Units::default(),
         is_of_table: false,
         unidentified_columns: Vec::new(),
         is_uncorrected: false,

@@ -7,12 +7,15 @@ use super::commands::{ReferenceEvidence, references};
 use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
 use super::joint_axes::JointAxes;
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
-use super::poses::{DeclaredUnits, ImuEvidence, PoseEvidence, euler, unidentified_columns};
+use super::poses::{
+    DeclaredUnits, ImuEvidence, PoseEvidence, euler, named_units, unidentified_columns,
+};
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
     ArmDiagnosis, EncodingSpans, EstimateResult, JointDiagnosis, JointScale, LatencyProfile,
-    NotObservable, PoseDiagnosis, ResidualCheck, check_imu_residual, check_residual,
+    Measured, NotObservable, PoseDiagnosis, ResidualCheck, UnitResiduals, check_imu_residual,
+    check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::Vec3;
@@ -30,6 +33,8 @@ pub struct ArmEvidence {
     pub is_trajectory: bool,
     /// Steps of the joint states' clock, which their stamps are corrected for.
     pub joint_clock: Option<LatencyProfile>,
+    /// Latency of one topic of joint states against another, whose name follows.
+    pub joint_topic: Option<(StreamEvidence<Measured>, String)>,
     /// The unit of its positions is unknown: columns of a table, without a model.
     pub has_unknown_units: bool,
     /// First and last stamp of the joint states.
@@ -56,6 +61,8 @@ pub struct ArmEvidence {
     pub imus: Vec<StreamEvidence<ImuEvidence>>,
     /// Joint positions were identified as degrees by magnitude.
     pub is_in_degrees_by_magnitude: bool,
+    /// Joint positions were converted from degrees, by magnitude or as declared.
+    pub is_converted_from_degrees: bool,
     /// Command streams.
     pub references: Vec<StreamEvidence<ReferenceEvidence>>,
 }
@@ -132,6 +139,20 @@ impl ArmEvidence {
     /// Scale error of a joint, if any.
     pub fn scale(&self, index: usize) -> Option<&JointScale> {
         self.diagnosis.scales.iter().find(|scale| scale.column == index)
+    }
+
+    /// Position residuals, m, if joint positions that were converted from degrees are in rad. Each joint then seems to
+    /// have the same scale.
+    pub fn radians_as_degrees(&self) -> Option<UnitResiduals> {
+        /// Relative: a nominal model against a calibrated arm.
+        const SCALE_PRECISION: f64 = 0.01;
+        let is_it = |scale: &JointScale| {
+            (scale.factor.value * 1f64.to_radians() - 1.0).abs() < SCALE_PRECISION
+        };
+        let scales = &self.diagnosis.scales;
+        let are_all =
+            self.is_converted_from_degrees && scales.len() > 1 && scales.iter().all(is_it);
+        self.diagnosis.encoding.as_ref().ok()?.residual.filter(|_| are_all)
     }
 
     /// Joint positions were identified as degrees, but no pose confirms it.
@@ -224,6 +245,7 @@ pub(super) fn arm_evidence(
         labels: run.streams[source.stream]
             .labels
             .filter(|_| source.track.declared.is_none() && has_one_encoding(&found)),
+        named_units: named_units(&run.streams[source.stream].cells),
         is_of_table: !run.streams[source.stream].cells.is_empty(),
         unidentified_columns: unidentified_columns(run, source),
         is_uncorrected: false,
@@ -333,15 +355,25 @@ pub(super) fn arm_evidence(
         joint.velocity = velocity;
         joint.actual = actual.as_ref().map(|actual| (actual.from[index], actual.factor[index]));
     }
-    let is_in_degrees_by_magnitude = matches!(
-        run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
-        Some(Columns::Joints(joints)) if joints.converted_from_degrees
-    );
+    let degree = 1f64.to_radians();
+    let (is_in_degrees_by_magnitude, is_declared) =
+        match run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()) {
+            Some(Columns::Joints(joints)) => {
+                let is_degree = |line: &[f64; 2]| *line == [degree, 0.0];
+                let are_degrees = joints.conversions.iter().all(is_degree);
+                (joints.converted_from_degrees, !joints.conversions.is_empty() && are_degrees)
+            }
+            _ => (false, false),
+        };
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
         is_trajectory: arm.trajectory.is_some(),
         joint_clock: diagnosis.joint_clock,
+        joint_topic: diagnosis.joint_topic.map(|late| {
+            let other = run.streams[late.other].topic.clone();
+            (arm_stream_evidence(run, arm, late.stream, late.latency_s), other)
+        }),
         has_unknown_units: false,
         span: span_or_run(run, joints_stream),
         joints,
@@ -353,6 +385,7 @@ pub(super) fn arm_evidence(
         indistinguishable_models: arm.indistinguishable.clone(),
         dh: diagnosis.dh,
         is_in_degrees_by_magnitude,
+        is_converted_from_degrees: is_in_degrees_by_magnitude || is_declared,
         diagnosis: found,
         references: references(run, index, &poses, max_lag_s),
         poses,

@@ -1,6 +1,7 @@
 use rayon::prelude::*;
 
 use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
+use super::joint_topics::{JointTopicLatency, with_corrected_topic};
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
     LatencyProfile, NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak,
@@ -27,6 +28,8 @@ pub(super) struct ArmStreamsDiagnosis {
     pub dh: Option<DhEvidence>,
     /// Steps of the joint states' clock, if their stamps were corrected.
     pub joint_clock: Option<LatencyProfile>,
+    /// Latency between topics of the joint states, if their stamps were corrected.
+    pub joint_topic: Option<JointTopicLatency>,
 }
 
 /// Diagnoses every arm. Replaces an arm whose DH table uses the undeclared convention.
@@ -42,6 +45,13 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
             Some((arm, other)) => {
                 run.exchange_reference(index, arm);
                 other
+            }
+            None => found,
+        };
+        let found = match with_simultaneous_topics(run, &run.arms[index], &found, max_lag_s) {
+            Some((arm, simultaneous)) => {
+                run.replace_arm(index, arm);
+                simultaneous
             }
             None => found,
         };
@@ -98,6 +108,21 @@ fn with_other_reference(
     better.next()
 }
 
+/// Diagnosis with corrected stamps of one topic of joint states, if it then fits as well.
+fn with_simultaneous_topics(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmStreamsDiagnosis,
+    max_lag_s: f64,
+) -> Option<(Arm, ArmStreamsDiagnosis)> {
+    let (arm, late) = with_corrected_topic(run, arm, found)?;
+    let simultaneous = diagnose_one(run, &arm, max_lag_s);
+    simultaneous
+        .arm
+        .is_as_good_as(&found.arm)
+        .then_some((arm, ArmStreamsDiagnosis { joint_topic: Some(late), ..simultaneous }))
+}
+
 /// Diagnosis with corrected stamps of the joint states, if all other streams are then steady.
 fn with_steady_joint_clock(
     run: &Run,
@@ -107,8 +132,14 @@ fn with_steady_joint_clock(
 ) -> Option<(Arm, ArmStreamsDiagnosis)> {
     let (arm, profile) = with_corrected_joint_stamps(arm, found)?;
     let steady = diagnose_one(run, &arm, max_lag_s);
-    are_others_steady(&arm, &steady, &profile)
-        .then_some((arm, ArmStreamsDiagnosis { joint_clock: Some(profile), ..steady }))
+    are_others_steady(&arm, &steady, &profile).then_some((
+        arm,
+        ArmStreamsDiagnosis {
+            joint_clock: Some(profile),
+            joint_topic: found.joint_topic,
+            ..steady
+        },
+    ))
 }
 
 /// Diagnosis under the undeclared DH convention. Skipped if `found`, under the declared one, explains the
@@ -178,7 +209,7 @@ fn diagnose_other_convention(
 }
 
 /// Factor to m.
-fn position_factor(found: &PoseDiagnosis) -> f64 {
+pub(super) fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
 
@@ -233,7 +264,7 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
         _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), max_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
-    ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None, joint_clock: None }
+    ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None, joint_clock: None, joint_topic: None }
 }
 
 /// Corrected joint states. `None` if no encoding of the joints fits the poses.

@@ -7,6 +7,7 @@ mod estimate;
 mod hand_eye;
 mod joint_axes;
 mod joint_clock;
+mod joint_topics;
 mod joints;
 mod poses;
 mod samples;

@@ -87,6 +87,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         joints_topic: run.streams[stream].topic.clone(),
         is_trajectory: false,
         joint_clock: None,
+        joint_topic: None,
         has_unknown_units: !run.streams[stream].cells.is_empty(),
         span: span_or_run(run, stream),
         joints,
@@ -108,6 +109,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         vibrations: Vec::new(),
         imus: Vec::new(),
         is_in_degrees_by_magnitude: columns.converted_from_degrees,
+        is_converted_from_degrees: columns.converted_from_degrees,
         references: Vec::new(),
     }
 }

@@ -66,8 +66,8 @@ const FROM_PICKLE: &str = "reading one can run any program, so load it in Python
 /// Offset of the first member's name.
 const ZIP_NAME: usize = 30;
 
-/// Bytes examined to distinguish text from binary data.
-const TEXT_CHECK_BYTES: usize = 4096;
+/// Bytes examined for an empty file and for packets.
+const GLANCE_BYTES: usize = 4096;
 
 pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if bytes.starts_with(mcap::MAGIC) {
@@ -103,10 +103,10 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if let Some(&(_, looks, instead)) = known {
         return FileFormat::Known { looks, instead };
     }
-    let glance = &bytes[..bytes.len().min(TEXT_CHECK_BYTES)];
+    let glance = &bytes[..bytes.len().min(GLANCE_BYTES)];
     let looks = if glance.iter().all(|&byte| byte == 0) {
         "a file of zeros"
-    } else if is_text(glance) {
+    } else if tables::is_text(bytes) {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return FileFormat::Rtde,
             rtde::FirstLine::Other if tables::looks_like_json(bytes) => {
@@ -139,18 +139,6 @@ fn is_npz(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP_MAGIC) && name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
-/// Accepts a truncated last character.
-fn is_text(bytes: &[u8]) -> bool {
-    let text = match std::str::from_utf8(bytes) {
-        Ok(text) => text,
-        Err(error) if error.error_len().is_none() => {
-            std::str::from_utf8(&bytes[..error.valid_up_to()]).unwrap_or_default()
-        }
-        Err(_) => return false,
-    };
-    text.chars().all(|c| !c.is_control() || c.is_ascii_whitespace())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,7 +151,7 @@ mod tests {
         );
         assert_eq!(detect_format(b"Gr\xc3"), FileFormat::Unknown { looks: "text" });
         assert_eq!(
-            detect_format(b"Gr\xc3(("),
+            detect_format(b"Gr\xc3\x01"),
             FileFormat::Unknown { looks: "unknown binary data" }
         );
     }

@@ -42,26 +42,28 @@ impl RoundedStamps {
 /// Minimum tick, s.
 const MIN_TICK_S: f64 = 2e-4;
 
+/// Parts with the same stamps, such as the streams of a table, are restored together, even if the values of some of
+/// them do not show that their stamps are rounded.
 pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
-    let mut found = Vec::new();
     let mut known: HashMap<Vec<i64>, (usize, RestoredStamps)> = HashMap::new();
     for index in 0..streams.len() {
-        let stream = &streams[index];
-        let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
-        let Some(columns) = stream.columns.as_ref().filter(|_| is_of_use) else { continue };
-        for (piece, times) in columns.times().into_iter().enumerate() {
-            let raw = times.nanos_on(clock_of_rows(times, clock));
-            if let Some((group, restored)) = known.get(raw) {
-                found.push(restored.report((index, piece), *group));
-                continue;
-            }
-            let restored = values_of(columns, piece)
+        for (piece, raw) in parts_of_use(&streams[index], clock) {
+            let columns = streams[index].columns.as_ref().filter(|_| !known.contains_key(raw));
+            let values = columns.and_then(|columns| values_of(columns, piece));
+            let restored = values
                 .and_then(|values| RestoredStamps::restore(raw, &values))
                 .filter(|_| !are_copies_of_even_joints(raw, index, streams, clock));
             if let Some(restored) = restored {
                 let group = known.len();
-                found.push(restored.report((index, piece), group));
                 known.insert(raw.to_vec(), (group, restored));
+            }
+        }
+    }
+    let mut found = Vec::new();
+    for (index, stream) in streams.iter().enumerate() {
+        for (piece, raw) in parts_of_use(stream, clock) {
+            if let Some((group, restored)) = known.get(raw) {
+                found.push(restored.report((index, piece), *group));
             }
         }
     }
@@ -75,6 +77,14 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
         }
     }
     found
+}
+
+/// Index and stamps of each part of a stream that the audit uses.
+fn parts_of_use(stream: &Stream, clock: Clock) -> Vec<(usize, &[i64])> {
+    let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
+    let columns = stream.columns.as_ref().filter(|_| is_of_use);
+    let parts = columns.into_iter().flat_map(|columns| columns.times()).enumerate();
+    parts.map(|(piece, times)| (piece, times.nanos_on(clock_of_rows(times, clock)))).collect()
 }
 
 /// Whether the stamps of a stream are those of some joint states, such as every second or third, whose own are even.

@@ -76,6 +76,10 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
         Ok(reading) => {
             let mut scales = arm.diagnosis.scales.clone();
             scales.retain(|scale| arm.diagnosis.factor_change(scale.column).is_none());
+            // ORD004 reports the unit.
+            if arm.radians_as_degrees().is_some() {
+                scales.clear();
+            }
             (scales, reading)
         }
         Err(why) => {

@@ -25,7 +25,9 @@ rule! {
     /// ## Evidence
     /// The lag that best aligns the stream with forward kinematics, with sub-sample resolution and an
     /// interval that allows for correlated noise. For a camera target: the lag that best closes the
-    /// hand-eye chain, fitted together with the camera's pose.
+    /// hand-eye chain, fitted together with the camera's pose. For one of several topics of an arm's joint
+    /// states: the lag at which its joints match the poses together with the others; other rules use the
+    /// corrected stamps.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
     /// of the two is off, `indistinguishable` lists the other one.
@@ -130,14 +132,59 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         },
     });
     let streams: Vec<StreamEvidence<StreamLatency>> = poses.chain(imus).chain(targets).collect();
-    match joint_state_latency(case, &streams) {
+    let of_topic =
+        arm.joint_topic.iter().map(|(late, other)| judge_joint_topic(case, arm, late, other));
+    let of_topic: Vec<SubjectResult> = of_topic.collect();
+    of_topic.into_iter().chain(judge_streams(case, arm, &streams)).collect()
+}
+
+fn judge_streams(
+    case: &Case,
+    arm: &ArmEvidence,
+    streams: &[StreamEvidence<StreamLatency>],
+) -> Vec<SubjectResult> {
+    match joint_state_latency(case, streams) {
         Some(lateness) => {
-            let joints = late_joint_states(case, arm, &streams, &lateness);
+            let joints = late_joint_states(case, arm, streams, &lateness);
             let results = streams.iter().map(|stream| judge_with_late_joints(case, arm, stream));
             std::iter::once(joints).chain(results).collect()
         }
-        None => streams.iter().map(|stream| judge_stream(case, arm, stream, &streams)).collect(),
+        None => streams.iter().map(|stream| judge_stream(case, arm, stream, streams)).collect(),
     }
+}
+
+/// Latency of a topic with some of the arm's joints against the topic with the others.
+fn judge_joint_topic(
+    case: &Case,
+    arm: &ArmEvidence,
+    late: &StreamEvidence<Measured>,
+    other: &str,
+) -> SubjectResult {
+    let latency = &late.value;
+    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
+    let outcome = match decide(latency, &threshold, case.evidence.subjects()) {
+        Decision::Pass => Outcome::pass(),
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => {
+            let (effect, effect_m) = effect(arm, latency);
+            let side = if latency.value > 0.0 { "late" } else { "early" };
+            let size = Measured { value: latency.value.abs(), ..*latency };
+            Outcome::fail(Fault {
+                severity,
+                cause: Cause::Latency(*latency),
+                title: "joint states of one topic are not simultaneous with the others",
+                message: format!("{} {side} against {other}", THRESHOLD.unit.show_measured(&size)),
+                evidence: Evidence { effect, effect_m, ..Evidence::default() },
+                fix: format!(
+                    "stamp all joints when the encoders are read, or shift {} by {}",
+                    late.topic(),
+                    shift(latency)
+                ),
+            })
+        }
+    };
+    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
+    late.judged(outcome).within(late.span).estimated(estimate)
 }
 
 /// Latency of a target relative to a hand without joint states; which of the two is off is undetermined.

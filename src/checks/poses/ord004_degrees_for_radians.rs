@@ -9,9 +9,10 @@ rule! {
     /// Degrees published as radians, or vice versa.
     ///
     /// ## What it means
-    /// One or all joints are in degrees instead of radians (REP 103). Or the declared unit of rotation
-    /// numbers is wrong, either way. Undeclared numbers cannot have a wrong unit; ORD001 reports the unit
-    /// assumed for them. Or an IMU's angular velocity is in degrees per second.
+    /// One or all joints are in degrees instead of radians (REP 103). Or all joints are in radians although
+    /// column names or `--columns` say degrees. Or the declared unit of rotation numbers is wrong, either
+    /// way. Undeclared numbers cannot have a wrong unit; ORD001 reports the unit assumed for them. Or an
+    /// IMU's angular velocity is in degrees per second.
     ///
     /// ## Why it matters
     /// FK of degrees read as radians is noise within the arm's reach. All other rules use the converted
@@ -47,6 +48,10 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let topic = arm.topic(&arm.joints_topic);
     let joints = match arm.diagnosis.reported_encoding() {
         Err(why) => vec![SubjectResult::new(topic, not_observable(why, "also log a pose or /tf"))],
+        Ok(_) if let Some(residuals) = arm.radians_as_degrees() => {
+            let declared = AssumedUnit::Declared(AngleUnit::Degree);
+            vec![judge(arm, topic, Some(residuals), Unit::Metre, declared)]
+        }
         Ok(reading) => {
             let alone = reading.unit_errors(JointUnit::Degrees).map(|(unit_error, residuals)| {
                 let subject = arm.joint_states(unit_error.column);
@@ -153,7 +158,10 @@ fn judge(
         (AssumedUnit::Declared(_), _) => (
             "radians declared as degrees",
             "the numbers are radians but were declared as degrees".to_owned(),
-            format!("declare {topic} without `,deg`"),
+            match residual {
+                Unit::Metre => format!("correct the unit of {topic} in the names or in --columns"),
+                _ => format!("declare {topic} without `,deg`"),
+            },
         ),
     };
     let (before, after) = (residual.show(residuals.as_logged), residual.show(residuals.corrected));

@@ -1,3 +1,4 @@
+use crate::checks::encoding::inferred_units;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
@@ -14,6 +15,7 @@ rule! {
     /// - A column named as rad or joint position exceeds two turns, or holds a unit quaternion in each row.
     /// - Rotation columns are named roll, pitch, yaw; A, B, C (KUKA); W, P, R (FANUC); O, A, T (Kawasaki);
     ///   or x, y, z, w, but follow the arm only in another encoding.
+    /// - Position or rotation columns are named in a unit in which they do not follow the arm.
     /// - Commands list their joints in a different order than the joints that follow them.
     /// - An episode's columns differ from its dataset's.
     ///
@@ -31,7 +33,7 @@ rule! {
     /// - Swapped names of two joints that move alike are not found.
     /// - Rates are compared with the median interval of a stamp column. Stamps generated from the declared
     ///   rate always agree with it.
-    /// - Other units and meanings are not checked here: ORD004 detects joints in degrees, FRM007 a pose
+    /// - Joint columns are not checked here: ORD004 compares their unit with the poses. FRM007 detects a pose
     ///   that follows no arm.
     META001 {
         name: "contradicted-metadata",
@@ -45,7 +47,9 @@ rule! {
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     let arms = case.evidence.robots.iter();
-    let labelled = arms.flat_map(|arm| arm.poses.iter().filter_map(|pose| judge_labels(arm, pose)));
+    let labelled = arms.flat_map(|arm| {
+        arm.poses.iter().flat_map(|pose| [judge_labels(arm, pose), judge_units(pose)]).flatten()
+    });
     let declared = match case.evidence.contradictions.as_deref() {
         None => Vec::new(),
         Some([]) => vec![SubjectResult::new(Subject::default(), Outcome::pass())],
@@ -70,6 +74,33 @@ fn contradicted(message: String, fix: String) -> Outcome {
         evidence: Evidence::default(),
         fix,
     })
+}
+
+/// `None` unless columns of a pose are named in a unit in which they do not follow the arm.
+fn judge_units(pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
+    let named = pose.named_units;
+    let is_determined = pose.diagnosis.encoding.as_ref().is_ok_and(|it| it.is_determined);
+    if !pose.is_undeclared || pose.diagnosis.length_unit.is_err() {
+        return None;
+    }
+    let (length, angle) = inferred_units(&pose.diagnosis);
+    let lengths = named.length.filter(|named| *named != length).map(|named| {
+        format!(
+            "position columns are named in {}, but follow the arm only in {}",
+            named.plural_name(),
+            length.plural_name()
+        )
+    });
+    let angles = named.angle.filter(|named| is_determined && *named != angle).map(|named| {
+        format!(
+            "rotation columns are named in {}, but follow the arm only in {}",
+            named.plural_name(),
+            angle.plural_name()
+        )
+    });
+    let found: Vec<String> = lengths.into_iter().chain(angles).collect();
+    let fix = "rename the columns, or convert the numbers".to_owned();
+    (!found.is_empty()).then(|| pose.judged(contradicted(found.join("; "), fix)))
 }
 
 /// `None` if column names or motion do not determine the rotation encoding.

@@ -128,7 +128,8 @@ pub(super) struct ArmInterpretation {
     pub is_unit: bool,
 }
 
-/// Degrees, millimetres, other angle units, encoder ticks, all reversed, and shares of the range.
+/// Degrees, millimetres, other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that
+/// are radians.
 pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     let kinds = chain.joint_kinds();
     let none = JointMap::as_logged(kinds.len());
@@ -157,6 +158,8 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     add(scaled(-1.0, 1.0));
     add(scaled(-1.0, -1.0));
     add(scaled(-degree, 1.0));
+    // Radians declared as degrees.
+    add(scaled(1.0 / degree, 1.0));
     for bits in 8..=24 {
         let tick = TAU / f64::from(1 << bits);
         for sign in [1.0, -1.0] {

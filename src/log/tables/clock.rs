@@ -7,8 +7,28 @@ use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
 /// Last words of the names of time columns.
-const TIME_WORDS: &[&str] =
-    &["timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed"];
+const TIME_WORDS: &[&str] = &[
+    "timestamp",
+    "timestamps",
+    "time",
+    "times",
+    "t",
+    "stamp",
+    "stamps",
+    "ts",
+    "ipoc",
+    "elapsed",
+    "zeit",
+    "zeitstempel",
+    "uhrzeit",
+    "temps",
+    "tiempo",
+    "tempo",
+    "时间",
+    "时间戳",
+    "時間",
+    "時刻",
+];
 /// Units in seconds.
 const UNIT_WORDS: &[(&str, f64)] = &[
     ("ns", 1e-9),
@@ -77,6 +97,15 @@ pub(super) fn is_time(name: &str) -> bool {
         && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
 }
 
+/// Whether a name begins with a word for times, as `time_joints` and `time_tcp` do.
+fn begins_with_time(name: &str) -> bool {
+    const FIRST_WORDS: &[&str] =
+        &["time", "times", "timestamp", "timestamps", "stamp", "stamps", "zeit", "zeitstempel"];
+    let words = names::split_words(name);
+    words.first().is_some_and(|word| FIRST_WORDS.contains(&word.as_str()))
+        && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
+}
+
 /// # Errors
 /// If the row times are unknown or ambiguous, or the configured column does not hold times.
 pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
@@ -100,7 +129,13 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(from_rate(table, rate_hz, "from `columns.rate_hz`"));
     }
-    let best = best_clock(clocks_by_name(table), table);
+    let mut clocks = clocks_by_name(table);
+    clocks.retain(Clock::covers_most_rows);
+    let is_of_rows = |clock: &Clock| clock.name(table).is_none_or(is_time);
+    if clocks.iter().any(is_of_rows) {
+        clocks.retain(is_of_rows);
+    }
+    let best = best_clock(clocks, table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
@@ -172,6 +207,16 @@ pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     groups.into_iter().filter_map(best).collect()
 }
 
+/// Clocks of some of the columns, outside of groups: all that are named as times but `main`.
+pub(super) fn further_clocks(table: &Table, main: &Clock) -> Vec<Clock> {
+    let mut clocks = clocks_by_name(table);
+    clocks.retain(|clock| {
+        let is_outside = clock.name(table).is_some_and(|name| group_of(name).is_none());
+        clock.cell != main.cell && is_outside
+    });
+    clocks
+}
+
 pub(super) fn group_of(name: &str) -> Option<&str> {
     name.rsplit_once('/').map(|(group, _)| group)
 }
@@ -181,10 +226,11 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
     // Kawasaki's third angle is also named T.
     let has = |name: &str| table.columns.iter().any(|column| column.name == name);
     let is_angle = |name: &str| name == "T" && has("O") && has("A");
-    let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
+    let is_named = |name: &str| is_time(name) || begins_with_time(name);
+    let times = columns().filter(|(_, column)| is_named(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
-            1 => from_column(at, column, None),
+            1 => from_sparse_column(at, column, None),
             2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
             _ => None,
         })
@@ -409,15 +455,20 @@ fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     }
 }
 
-/// `None` if it does not hold times. `unit_s` is declared.
+/// `None` if it does not hold times in at least half of the rows. `unit_s` is declared.
 fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
+    from_sparse_column(at, column, unit_s).filter(Clock::covers_most_rows)
+}
+
+/// The other rows may be those of other streams.
+fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let back = steps.iter().filter(|step| **step < 0.0).count();
     let mut ahead: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
     let step = median(&mut ahead)?;
-    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) || 2 * finite.len() < values.len() {
+    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) {
         return None;
     }
     let (first, words) = (*finite.first()?, names::split_words(&column.name));
@@ -504,6 +555,24 @@ fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
 }
 
 impl Clock {
+    fn covers_most_rows(&self) -> bool {
+        2 * self.stamps.iter().flatten().count() >= self.stamps.len()
+    }
+
+    fn name<'a>(&self, table: &'a Table) -> Option<&'a str> {
+        self.cell.map(|(at, _)| table.columns[at].name.as_str())
+    }
+
+    /// Words of its name that are neither times nor units, in the singular: `tcp` of `tcp_times`.
+    pub fn stream_words(&self, table: &Table) -> Vec<String> {
+        let mut words = names::split_words(self.name(table).unwrap_or_default());
+        words.retain(|word| {
+            let word = word.as_str();
+            !TIME_WORDS.contains(&word) && UNIT_WORDS.iter().all(|(unit, _)| *unit != word)
+        });
+        words.iter().map(|word| names::singular(word).to_owned()).collect()
+    }
+
     pub fn first(&self) -> i64 {
         self.stamps.iter().flatten().next().copied().unwrap_or(0)
     }

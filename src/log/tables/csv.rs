@@ -3,24 +3,26 @@
 //! The first row of numbers determines the delimiter and the decimal mark. A table without names becomes
 //! one column, like a NumPy array.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use jiff::civil::{DateTime, Time};
+use jiff::civil::{Date, Time};
 
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, vector_cells,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, text_encoding,
+    vector_cells,
 };
 use crate::Extent;
 use crate::rtde;
 
-/// Other columns are text.
-const MIN_NUMERIC_SHARE: f64 = 0.5;
 const MAX_HEADER_LINES: usize = 200;
 /// Same limit as for RTDE tables.
 const MAX_LINE_BYTES: usize = 1 << 20;
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
 /// In a row of a robot log.
 const MIN_CELLS: usize = 3;
+/// In a row with mostly empty cells: a time and the numbers of the smallest stream.
+const MIN_NUMBERS: usize = 2;
 const UNIT_NAMES: &[&str] = &[
     "-", "1", "s", "sec", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg", "°", "degree",
     "degrees", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "m/s2", "m/s^2", "n", "nm", "n.m", "a",
@@ -38,23 +40,29 @@ pub(super) struct TextLayout {
 
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
-    detect_layout(bytes).is_some()
-        || vector_cells::expand(bytes).is_some_and(|bytes| detect_layout(&bytes).is_some())
+    let text = text_encoding::to_utf8(bytes);
+    detect_layout(&text).is_some()
+        || vector_cells::expand(&text).is_some_and(|bytes| detect_layout(&bytes).is_some())
 }
 
 /// A text table with times is a log rather than a calibration table.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
-    let expanded = vector_cells::expand(bytes);
-    let layout = detect_layout(expanded.as_deref().unwrap_or(bytes));
-    let names = layout.and_then(|layout| layout.names);
-    names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
+    column_names(bytes).is_some()
 }
 
 /// Names of the columns of a table with times.
 pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
-    let expanded = vector_cells::expand(bytes);
-    let names = detect_layout(expanded.as_deref().unwrap_or(bytes))?.names?;
+    let names = detect_layout(&with_single_numbers(bytes))?.names?;
     names.iter().any(|name| clock::is_time(name)).then_some(names)
+}
+
+/// The text in UTF-8, with a cell for each number of a list.
+fn with_single_numbers(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let text = text_encoding::to_utf8(bytes);
+    match vector_cells::expand(&text) {
+        Some(expanded) => Cow::Owned(expanded),
+        None => text,
+    }
 }
 
 /// Delimiters within quotation marks are text.
@@ -94,7 +102,11 @@ fn detect_delimiter(row: &[u8]) -> (u8, usize) {
     let count = |delimiter: u8| {
         let cells = cells(row, delimiter);
         let numbers = cells.iter().filter(|cell| is_number(cell, delimiter)).count();
-        if cells.len() < MIN_CELLS || 2 * numbers <= cells.len() { 0 } else { numbers }
+        let filled = cells.iter().filter(|cell| !cell.is_empty()).count();
+        // Streams of other rates leave cells empty.
+        let is_row = cells.len() >= MIN_CELLS
+            && (2 * numbers > cells.len() || (numbers >= MIN_NUMBERS && 2 * numbers > filled));
+        if is_row { numbers } else { 0 }
     };
     let all = [b';', b'\t', b',', b' '].map(|delimiter| (delimiter, count(delimiter)));
     // On a tie, the first one wins.
@@ -249,10 +261,9 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
 }
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
-    let expanded = vector_cells::expand(bytes);
-    let bytes = expanded.as_deref().unwrap_or(bytes);
-    let layout = detect_layout(bytes).ok_or("it contains no rows of numbers")?;
-    Ok(vec![("0".to_owned(), read_rows(bytes, layout, context)?)])
+    let text = with_single_numbers(bytes);
+    let layout = detect_layout(&text).ok_or("it contains no rows of numbers")?;
+    Ok(vec![("0".to_owned(), read_rows(&text, layout, context)?)])
 }
 
 pub(super) fn read_rows(
@@ -271,6 +282,7 @@ pub(super) fn read_rows(
     let mut billionths: Vec<Vec<Option<i128>>> = vec![Vec::new(); width];
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
+    let mut text_counts = vec![0; width];
     let mut line_numbers = Vec::new();
     let (mut row, mut numbers): (Vec<&[u8]>, Vec<f64>) = Default::default();
     let ends_in_line = bytes.last() == Some(&b'\n');
@@ -323,17 +335,22 @@ pub(super) fn read_rows(
             context.memory.reserve(4)?;
             billionths[at].push(decimal_billionths(row[at], delimiter != b','));
         }
-        for (((column, known), cell), own) in
-            values.iter_mut().zip(&mut texts).zip(&row).zip(&numbers)
-        {
-            column.push(*own);
-            known.get_or_insert(*cell);
+        for (at, (cell, own)) in row.iter().zip(&numbers).enumerate() {
+            values[at].push(*own);
+            text_counts[at] += usize::from(is_text(cell, *own));
+            // An empty cell says less than a later text.
+            if own.is_nan() && texts[at].is_none_or(<[u8]>::is_empty) {
+                texts[at] = Some(*cell);
+            }
         }
     }
     if let Some((count, first)) = malformed {
         losses.add_unplaced(Extent::Messages, Some(count), first);
     }
-    Ok(Table { lines: line_numbers, ..build_table(names, values, billionths, &texts) })
+    Ok(Table {
+        lines: line_numbers,
+        ..build_table(names, values, billionths, &texts, &text_counts)
+    })
 }
 
 /// Markers for missing numbers are not text.
@@ -358,19 +375,22 @@ fn build_table(
     values: Vec<Vec<f64>>,
     billionths: Vec<Vec<Option<i128>>>,
     texts: &[Option<&[u8]>],
+    text_counts: &[usize],
 ) -> Table {
     let rows = values.first().map_or(0, Vec::len);
-    let is_numeric = |values: &[f64]| {
-        let finite = values.iter().filter(|value| value.is_finite()).count();
-        rows == 0 || finite as f64 >= MIN_NUMERIC_SHARE * rows as f64
+    let is_numeric = |at: usize| {
+        let finite = values[at].iter().filter(|value| value.is_finite()).count();
+        // Empty cells are those of a stream with fewer rows.
+        rows == 0 || (finite > 0 && finite >= text_counts[at])
     };
     let kind = || "number".to_owned();
     let mut made = Table { rows, ..Table::default() };
     let Some(names) = names else {
-        let numeric: Vec<&Vec<f64>> = values.iter().filter(|values| is_numeric(values)).collect();
+        let numeric: Vec<&Vec<f64>> =
+            (0..values.len()).filter(|at| is_numeric(*at)).map(|at| &values[at]).collect();
         let all = (0..rows).flat_map(|row| numeric.iter().map(move |column| column[row])).collect();
         let width = numeric.len();
-        let is_text = |at: &usize| !is_numeric(&values[*at]);
+        let is_text = |at: &usize| !is_numeric(*at);
         made.text_columns = (0..values.len()).filter(is_text).collect();
         let kept = (0..values.len()).filter(|at| !is_text(at)).zip(0..);
         let exact: BTreeMap<usize, usize> = kept.collect();
@@ -387,11 +407,12 @@ fn build_table(
         made.columns.push(Column { name, kind: kind(), width, values: all, ..Column::default() });
         return made;
     };
+    let numeric: Vec<bool> = (0..values.len()).map(is_numeric).collect();
     for (at, ((name, values), billionths)) in
         names.into_iter().zip(values).zip(billionths).enumerate()
     {
         let name = if name.is_empty() { format!("column {at}") } else { name };
-        if is_numeric(&values) {
+        if numeric[at] {
             let (kind, parts) = (kind(), Vec::new());
             made.columns.push(Column { name, kind, width: 1, parts, values, billionths });
             continue;
@@ -452,34 +473,76 @@ pub(super) fn decimal_billionths(cell: &[u8], decimal_comma: bool) -> Option<i12
 }
 
 fn seconds(cell: &str) -> Option<f64> {
-    let digits = cell.bytes().take_while(u8::is_ascii_digit).count();
-    let at = |at: usize| cell.as_bytes().get(at).copied();
-    if digits <= 2 && at(digits) == Some(b':') {
-        let time: Time = cell.replace(',', ".").parse().ok()?;
-        let midnight = Time::midnight();
-        return (time - midnight).total(jiff::Unit::Second).ok();
-    }
-    if cell.len() < 16 {
+    if !(cell.starts_with(|c: char| c.is_ascii_digit()) && cell.contains([':', '-', '_', '/'])) {
         return None;
     }
-    let moment = match (digits, at(digits)) {
-        (4, Some(b'-')) => cell.to_owned(),
-        (4, Some(b'/' | b'.')) => {
-            format!("{}-{}-{}", cell.get(..4)?, cell.get(5..7)?, cell.get(8..)?)
+    let stamp = match cell.parse::<jiff::Timestamp>() {
+        Ok(stamp) => stamp,
+        Err(_) => return moment(cell),
+    };
+    Some(stamp.as_nanosecond() as f64 * 1e-9)
+}
+
+/// A date with time of day, a time of day or a duration such as `1 day, 0:00:01.5`, without time zone. Seconds are
+/// required: times in whole minutes are no stamps.
+fn moment(cell: &str) -> Option<f64> {
+    let lower = cell.to_ascii_lowercase();
+    let (text, noon_h) = match (lower.strip_suffix("am"), lower.strip_suffix("pm")) {
+        (Some(text), _) => (text.trim_end(), Some(0)),
+        (_, Some(text)) => (text.trim_end(), Some(12)),
+        _ => (lower.as_str(), None),
+    };
+    let (days, text) = match text.split_once(" day") {
+        Some((days, rest)) => (days.parse::<u32>().ok()?, rest.trim_start_matches(['s', ',', ' '])),
+        None => (0, text),
+    };
+    let separators: Vec<char> = text.chars().filter(|c| !c.is_ascii_digit()).collect();
+    if !separators.iter().all(|c| " -_/.:,t".contains(*c)) {
+        return None;
+    }
+    let is_separator = |c: char| !c.is_ascii_digit();
+    let groups: Vec<&str> = text.split(is_separator).filter(|group| !group.is_empty()).collect();
+    let sides = |group: &str| group.len();
+    let (date, time) = match groups.as_slice() {
+        [day, time @ ..] if sides(day) == 8 => {
+            (Some([day.get(..4)?, day.get(4..6)?, day.get(6..)?]), time)
         }
-        // With dots, the day comes first.
-        (2, Some(b'.')) => {
-            let (day, month, year) = (cell.get(..2)?, cell.get(3..5)?, cell.get(6..10)?);
-            format!("{year}-{month}-{day}{}", cell.get(10..)?)
+        [year, month, day, time @ ..] if sides(year) == 4 => (Some([*year, *month, *day]), time),
+        [first, second, year, time @ ..] if sides(year) == 4 && sides(first) <= 2 => {
+            // The day comes first with dots, otherwise the month unless it is none.
+            let is_day_first = separators.first() == Some(&'.') || first.parse::<u8>().ok()? > 12;
+            let [month, day] = if is_day_first { [*second, *first] } else { [*first, *second] };
+            (Some([*year, month, day]), time)
+        }
+        time => (None, time),
+    };
+    let (clock, fraction) = match time {
+        [clock, fraction @ ..] if sides(clock) == 6 => {
+            ([clock.get(..2)?, clock.get(2..4)?, clock.get(4..)?], fraction)
+        }
+        [hour, minute, second, fraction @ ..] if separators.contains(&':') || date.is_some() => {
+            ([*hour, *minute, *second], fraction)
         }
         _ => return None,
     };
-    let moment = moment.replace(',', ".");
-    let stamp = moment.parse::<jiff::Timestamp>().ok().or_else(|| {
-        let civil: DateTime = moment.parse().ok()?;
-        Some(civil.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp())
-    })?;
-    Some(stamp.as_nanosecond() as f64 * 1e-9)
+    let fraction = match fraction {
+        [] => "0",
+        [own] if sides(own) <= 9 => own,
+        _ => return None,
+    };
+    let number = |group: &str| group.parse::<i16>().ok();
+    let hour = match noon_h {
+        Some(noon_h) => number(clock[0])? % 12 + noon_h,
+        None => number(clock[0])?,
+    };
+    let nanos: i32 = format!("{fraction:0<9}").parse().ok()?;
+    let part = |group: &str| i8::try_from(number(group)?).ok();
+    let time = Time::new(i8::try_from(hour).ok()?, part(clock[1])?, part(clock[2])?, nanos).ok()?;
+    let of_day = (time - Time::midnight()).total(jiff::Unit::Second).ok()?;
+    let Some([year, month, day]) = date else { return Some(f64::from(days) * 86_400.0 + of_day) };
+    let date = Date::new(number(year)?, part(month)?, part(day)?).ok()?;
+    let midnight = date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
+    Some(midnight.as_second() as f64 + of_day)
 }
 
 #[cfg(test)]
@@ -564,9 +627,22 @@ mod tests {
             ("02.01.1970 00:00:01,5", 86401.5),
             ("1970-01-02T00:00:01.5Z", 86401.5),
             ("01:00:01.25", 3601.25),
+            ("01:00:01:250", 3601.25),
+            ("1/2/1970 12:00:01.500 AM", 86401.5),
+            ("13/01/1970 00:00:01.5", 12.0 * 86400.0 + 1.5),
+            ("1/2/1970 1:00:00 PM", 86400.0 + 13.0 * 3600.0),
+            ("19700102_000001.500", 86401.5),
+            ("19700102-00:00:01,5", 86401.5),
+            ("1970-01-02-00-00-01-500000", 86401.5),
+            ("1970-01-02 00:00:01:500", 86401.5),
+            ("1970-01-02T02:00:01.5+02:00", 86401.5),
+            ("1 days 00:00:01.500000", 86401.5),
+            ("1 day, 0:00:01.5", 86401.5),
         ] {
             assert_eq!(seconds(cell), Some(expected), "{cell}");
         }
-        assert_eq!(seconds("IDLE"), None);
+        for cell in ["IDLE", "1970-01-02", "12:30", "1.2.3", "10-20-30", "192.168.0.1:80", "1-2"] {
+            assert_eq!(seconds(cell), None, "{cell}");
+        }
     }
 }

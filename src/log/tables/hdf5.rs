@@ -11,10 +11,11 @@ use hdf5_reader::{
 
 use super::chunks::{ChunkAssembly, ChunkGrid};
 use super::npy;
+use super::row_losses::may_be_clock;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH,
-    RATE_NAMES, ReadColumn, ReadContext, RowLoss, Table, TableError, common_rows, is_rate,
-    is_transposed, most_frequent, names, rate_in,
+    RATE_NAMES, ReadColumn, ReadContext, RowLoss, Table, TableError, is_rate, is_transposed,
+    most_frequent, names, rate_in, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -24,7 +25,22 @@ const MAX_GROUPS: usize = 10_000;
 const FALLBACK_PARTS: usize = 64;
 /// Limit per group or data set.
 const MAX_HEADER_BYTES: usize = 4 << 20;
-const EPISODE_PREFIXES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
+const EPISODE_PREFIXES: &[&str] = &[
+    "demo",
+    "episode",
+    "ep",
+    "traj",
+    "trajectory",
+    "trial",
+    "run",
+    "rollout",
+    "take",
+    "recording",
+    "session",
+    "experiment",
+    "repetition",
+    "attempt",
+];
 
 pub(super) fn read(
     bytes: Bytes,
@@ -60,9 +76,9 @@ pub(super) fn read(
         };
         let mut walk = GroupWalk::default();
         walk.descend(&group, "", 0);
-        let mut table = walk.table(context.memory);
-        table.rate_hz = rate_of(&group).or(rate_hz);
-        found.push((label, table));
+        let mut tables = walk.tables(context.memory);
+        tables[0].rate_hz = rate_of(&group).or(rate_hz);
+        found.extend(tables.into_iter().map(|table| (label.clone(), table)));
     }
     Ok(found)
 }
@@ -152,7 +168,8 @@ impl GroupWalk {
         }
     }
 
-    fn table(self, memory: &mut MemoryBudget) -> Table {
+    /// See [`Table::by_row_count`].
+    fn tables(self, memory: &mut MemoryBudget) -> Vec<Table> {
         let sides = |dataset: &Dataset| -> Vec<usize> {
             dataset
                 .shape()
@@ -163,24 +180,27 @@ impl GroupWalk {
         let numeric =
             self.found.iter().filter(|(_, dataset)| number_type(dataset.dtype()).is_some());
         let shapes: Vec<Vec<usize>> = numeric.map(|(_, dataset)| sides(dataset)).collect();
-        let common = common_rows(&shapes);
+        let common = row_counts(&shapes);
         let arrays: Vec<DataSetColumn> = self
             .found
             .iter()
             .filter_map(|(name, dataset)| {
-                let is_on_side = is_transposed(&sides(dataset), common);
+                let is_on_side = is_transposed(&sides(dataset), &common);
                 DataSetColumn::new(name, dataset, sides(dataset), is_on_side)
             })
             .collect();
-        let rows = most_frequent(arrays.iter().map(|array| array.rows));
+        let main = most_frequent(arrays.iter().map(|array| array.rows));
+        let with_clock = arrays.iter().filter(|array| may_be_clock(array.column.width));
+        let clocks: HashSet<usize> = with_clock.map(|array| array.rows).collect();
         let mut read = |array: DataSetColumn| {
-            // Data sets with a different number of rows are not columns.
-            if array.rows == rows { array.read(memory) } else { array.unread() }
+            // Data sets with another number of rows are columns only of a table with a clock.
+            let is_read = array.rows == main || clocks.contains(&array.rows);
+            if is_read { array.read(memory) } else { array.unread() }
         };
         let candidates = arrays.into_iter().map(&mut read).collect();
-        let mut table = Table::from_columns(candidates, Some(rows), memory);
-        table.losses.extend(self.losses);
-        table
+        let mut tables = Table::by_row_count(candidates, memory);
+        tables[0].losses.extend(self.losses);
+        tables
     }
 }
 

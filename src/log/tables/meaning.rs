@@ -3,6 +3,7 @@
 
 mod configured;
 mod row_layout;
+mod sampling;
 mod trajectory;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -15,6 +16,7 @@ use super::{
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 pub(crate) use row_layout::LayoutColumns;
+use sampling::Sampling;
 
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
@@ -137,15 +139,33 @@ pub(super) fn identify_topics(
         name_after_file(&mut groups, &table.stream_name);
     }
     let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
-    let clock_of = |group: &ColumnGroup| {
+    let further = if is_clock_open { clock::further_clocks(table, clock) } else { Vec::new() };
+    let clock_of = |group: &ColumnGroup| -> (&Clock, &Clock) {
         let group_of = |cell: &Cell| clock::group_of(&table.columns[cell.column].name);
-        let home = group.cells.first().and_then(group_of)?;
-        own_clocks.get(home).filter(|_| group.cells.iter().all(|cell| group_of(cell) == Some(home)))
+        let home = group.cells.first().and_then(group_of);
+        let in_group = home
+            .and_then(|home| own_clocks.get(home))
+            .filter(|_| group.cells.iter().all(|cell| group_of(cell) == home));
+        let is_time = group
+            .cells
+            .iter()
+            .any(|cell| further.iter().any(|clock| clock.cell == Some((cell.column, cell.part))));
+        match in_group {
+            Some(own) => (clock, own),
+            None if is_time => (clock, clock),
+            None => further_clock(table, clock, &further, group).unwrap_or((clock, clock)),
+        }
     };
-    let found = groups.into_iter().map(|group| {
-        let own = clock_of(&group).unwrap_or(clock);
-        group.into_topic(table, (clock, own), most)
-    });
+    let sampling = Sampling::of_groups(table, &groups);
+    let with_clock: Vec<(&Clock, &Clock)> = groups.iter().map(clock_of).collect();
+    let is_used = |group: &ColumnGroup| match group.cells.as_slice() {
+        [Cell { column, part }] => {
+            with_clock.iter().any(|(_, own)| own.cell == Some((*column, *part)))
+        }
+        _ => false,
+    };
+    let groups = groups.into_iter().zip(&with_clock).filter(|(group, _)| !is_used(group));
+    let found = groups.map(|(group, clocks)| group.into_topic(table, *clocks, (most, &sampling)));
     let unread = table.unread.iter().map(|(name, why)| TableTopic {
         topic: name.clone(),
         kind: "unread".to_owned(),
@@ -161,12 +181,40 @@ pub(super) fn identify_topics(
     Ok(found.chain(unread).collect())
 }
 
+/// Clocks of the rows and of a group of columns, if a time column is named like the group or has times in the same
+/// rows. If it has fewer rows than the table, its rows are not those of the other columns.
+fn further_clock<'a>(
+    table: &Table,
+    clock: &'a Clock,
+    further: &'a [Clock],
+    group: &ColumnGroup,
+) -> Option<(&'a Clock, &'a Clock)> {
+    let rows_of = |clock: &Clock| clock.stamps.iter().map(Option::is_some).collect::<Vec<bool>>();
+    let is_named_like = |clock: &Clock| {
+        let own = clock.stream_words(table);
+        let has_all = |cell: &Cell| {
+            let words = names::split_words(&table.columns[cell.column].name);
+            own.iter().all(|own| words.iter().any(|word| names::singular(word) == own))
+        };
+        !own.is_empty() && group.cells.iter().all(has_all)
+    };
+    let rows = sampling::rows_with_numbers(table, &group.cells);
+    let of_rows = rows_of(clock);
+    let is_block = |own: &&Clock| rows != of_rows && rows_of(own) == rows;
+    if let Some(own) = further.iter().find(is_block) {
+        return Some((own, own));
+    }
+    if is_named_like(clock) {
+        return None;
+    }
+    let mut named = further.iter().filter(|own| is_named_like(own));
+    named.next().filter(|_| named.next().is_none()).map(|own| (clock, own))
+}
+
 /// Joint positions beyond two turns are not in rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
-
-const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees"];
 
 /// Called if they are too large for rad; `None` if they may be degrees.
 fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
@@ -556,7 +604,8 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
         let own = name(table, cell);
-        let Some(joint) = names::joint_name(own) else { continue };
+        let joint = names::joint_name(own).or_else(|| names::is_base(own).then(|| own.to_owned()));
+        let Some(joint) = joint else { continue };
         let home = match home_column(table, cell) {
             // The path before a joint name distinguishes states from commands.
             "" => own
@@ -773,8 +822,18 @@ impl ColumnGroup {
 
     /// `most` is the largest joint position of the table. Beyond two turns all joint positions are taken
     /// for degrees, in states and in commands.
-    fn into_topic(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> TableTopic {
+    fn into_topic(
+        self,
+        table: &Table,
+        (clock, own): (&Clock, &Clock),
+        (most, sampling): (f64, &Sampling),
+    ) -> TableTopic {
+        let own_rows = sampling.own_rows(table, &self);
         let Self { topic, cells, meaning, mut why, .. } = self;
+        if let Some(own_rows) = &own_rows {
+            let count = own_rows.iter().filter(|is_own| **is_own).count();
+            why += &format!("; in {count} of {} rows", table.rows);
+        }
         let mut contradiction = None;
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
@@ -787,7 +846,9 @@ impl ColumnGroup {
         let (mut rows, mut unstamped) = (Vec::new(), 0);
         for (row, (stamp, own)) in clock.stamps.iter().zip(&own.stamps).enumerate() {
             // Reported as losses, not as gaps or NaN.
-            if columns.iter().any(|column| table.is_lost(*column, row)) {
+            if columns.iter().any(|column| table.is_lost(*column, row))
+                || own_rows.as_ref().is_some_and(|own_rows| !own_rows[row])
+            {
                 continue;
             }
             match (*own, *stamp) {
@@ -838,15 +899,21 @@ impl ColumnGroup {
                         velocities.iter().flat_map(|&cell| names::split_words(name(table, cell)));
                     words.any(|word| known.contains(&word.as_str()))
                 };
-                let are_degrees = most > TWO_TURNS && lines.is_empty();
-                if in_words(DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
+                let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
+                let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
+                if in_words(names::DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.velocity);
                     all.for_each(|velocity| *velocity = velocity.to_radians());
                 }
-                if most > TWO_TURNS && lines.is_empty() {
-                    why += &format!(
-                        "; taken for degrees: values up to {most:.1} are too large for rad"
-                    );
+                if are_degrees {
+                    why += &match is_named {
+                        true => "; in degrees, by name".to_owned(),
+                        false => {
+                            format!(
+                                "; taken for degrees: values up to {most:.1} are too large for rad"
+                            )
+                        }
+                    };
                     if let Some(what) = why_not_degrees(table, &cells, most) {
                         why += &format!(", but {what}");
                     }

@@ -23,6 +23,7 @@ mod rsi;
 mod settings;
 #[cfg(test)]
 pub(super) mod tests;
+mod text_encoding;
 mod tfrecord;
 mod trajectory;
 mod vector_cells;
@@ -61,6 +62,7 @@ pub(super) use self::records::{
 pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
+pub(super) use self::text_encoding::is_text;
 pub(super) use self::tfrecord::has_record;
 pub(super) use self::trajectory::{
     detect as detect_trajectory, is_tum_by_name, times_beside as pose_times_beside,
@@ -157,6 +159,10 @@ impl Table {
         }
     }
 
+    fn column_names(&self) -> Vec<String> {
+        self.columns.iter().map(|column| column.name.clone()).collect()
+    }
+
     /// The unit in the name is optional.
     fn column(&self, name: &str) -> Option<usize> {
         let place = |is_it: &dyn Fn(&str) -> bool| {
@@ -195,6 +201,7 @@ impl From<i64> for RowStamps {
     }
 }
 
+/// Tables with the name of their episode; those of one episode follow each other.
 type Episodes = Vec<(String, Table)>;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -248,6 +255,8 @@ pub(super) struct Tables {
     inputs: Vec<LogInput>,
     /// Keyed by file.
     stream_names: HashMap<PathBuf, String>,
+    /// From stamps to receive times, in the current episode.
+    shift_ns: Option<i64>,
     /// Files of [`TableFormat::KittiTimes`], and whether poses use them.
     pose_times: BTreeMap<PathBuf, bool>,
 }
@@ -384,7 +393,7 @@ impl Tables {
                 return Ok(());
             }
         }
-        let count = episodes.len();
+        let count = episodes.chunk_by(|one, other| one.0 == other.0).count();
         if self.episodes.len() + count > MAX_EPISODES {
             return Err(too_many());
         }
@@ -402,7 +411,10 @@ impl Tables {
                 intake.contradiction(path, what);
             }
         }
-        for (name, mut table) in episodes {
+        let names: Vec<(String, Vec<String>)> =
+            episodes.iter().map(|(name, table)| (name.clone(), table.column_names())).collect();
+        let mut previous = None;
+        for (at, (name, mut table)) in episodes.into_iter().enumerate() {
             let label = if count > 1 { format!("episode {name}: ") } else { String::new() };
             for loss in &table.losses {
                 loss.report(&label, context.losses);
@@ -411,9 +423,20 @@ impl Tables {
             if table.columns.is_empty() && !table.losses.is_empty() {
                 continue;
             }
-            let (home, file) = (home.clone(), path.to_owned());
-            self.episodes.push(Episode { home, file, name, rows: table.rows });
-            match self.add_episode(path, &label, &mut table, settings, (context.losses, intake)) {
+            let is_first = previous.as_ref() != Some(&name);
+            if is_first {
+                let (home, file) = (home.clone(), path.to_owned());
+                self.episodes.push(Episode { home, file, name: name.clone(), rows: table.rows });
+                self.shift_ns = None;
+            }
+            let siblings = names.iter().enumerate();
+            let siblings = siblings.filter(|(other, own)| *other != at && own.0 == name);
+            let of_siblings: Vec<&String> = siblings.flat_map(|(_, (_, names))| names).collect();
+            let own_settings = settings.without(&of_siblings, &table);
+            let of_layout = layout.filter(|_| is_first);
+            previous = Some(name);
+            let of_table = (&own_settings, of_layout);
+            match self.add_table(path, &label, &mut table, of_table, (context.losses, intake)) {
                 Ok(()) => {}
                 Err(EpisodeError::Unidentified(what)) => {
                     return Err(LogError::Columns { path: path.to_owned(), what });
@@ -430,18 +453,18 @@ impl Tables {
         Ok(())
     }
 
-    fn add_episode(
+    fn add_table(
         &mut self,
         path: &Path,
         label: &str,
         table: &mut Table,
-        settings: &ColumnSettings,
+        (settings, row_layout): (&ColumnSettings, Option<&RowLayout>),
         (losses, intake): (&mut Losses, &mut Intake),
     ) -> Result<(), EpisodeError> {
         if table.rows < 2 {
             return Err(EpisodeError::UnusableRows(format!("it has {} rows", table.rows)));
         }
-        let layout = match settings.layout_of(path) {
+        let layout = match row_layout {
             Some(layout) => {
                 self.has_used_layout = true;
                 Some(LayoutColumns::resolve(layout, table).map_err(EpisodeError::Layout)?)
@@ -468,7 +491,11 @@ impl Tables {
             ));
         }
         row_losses::report_unstamped(table, &clock, label, losses);
-        let shift = self.receive_offset_ns(clock.first(), &found);
+        let is_episode = self.is_episode(&found);
+        let shift = *self.shift_ns.get_or_insert_with(|| match is_episode {
+            true => receive_offset_ns(&self.streams, clock.first(), &found),
+            false => 0,
+        });
         let span =
             [clock.first(), clock.last()].map(|stamp| stamp.saturating_add(shift).max(0) as u64);
         if !std::mem::replace(&mut self.has_noted_clock, true) {
@@ -483,14 +510,18 @@ impl Tables {
             intake.contradiction(path, what);
         }
         let shape = TableShape {
-            layout: settings.layout_of(path).map(RowLayout::to_string),
+            layout: row_layout.map(RowLayout::to_string),
             ..table.shape(path, &clock)
         };
         let shape = intake.table(shape);
         let episode = self.episodes.len().saturating_sub(1);
         for mut found in found {
             let (unstamped, damaged) = (found.unstamped, found.damaged.take());
-            let TableTopic { topic, kind, why, contradiction, columns, rows, .. } = found;
+            let TableTopic { mut topic, kind, why, contradiction, columns, rows, .. } = found;
+            if !is_episode && self.streams.contains_key(&topic) {
+                let file = path.file_stem().unwrap_or_default().to_string_lossy();
+                topic = format!("{file}/{topic}");
+            }
             let [cells, velocity_cells] = [found.cells, found.velocity_cells].map(|cells| {
                 cells.into_iter().map(|cell| TableCell { table: shape, ..cell }).collect()
             });
@@ -536,17 +567,16 @@ impl Tables {
         Ok(())
     }
 
-    /// Offset from stamps to receive times. Each episode restarts its clock, so episodes of the same topics
-    /// are placed one after another. Tables of other topics are recordings of the same run.
-    fn receive_offset_ns(&self, first: i64, found: &[TableTopic]) -> i64 {
-        const EPISODE_GAP_NS: i64 = NANOS_PER_SECOND / 1000;
-        let earlier = found.iter().filter_map(|found| self.streams.get(&found.topic));
-        let times = earlier.flat_map(|stream| stream.columns.times());
-        match times.filter_map(|times| times.log.last().copied()).max() {
-            Some(until) if first <= until => {
-                until.saturating_add(EPISODE_GAP_NS).saturating_sub(first)
-            }
-            _ => 0,
+    /// Whether earlier tables have the same joints or poses. Other names, such as those of counters, are the same in
+    /// tables of one run.
+    fn is_episode(&self, found: &[TableTopic]) -> bool {
+        let is_known = |found: &&TableTopic| {
+            found.columns.as_ref().is_some_and(|columns| !is_unnamed(columns))
+        };
+        let has_earlier = |found: &TableTopic| self.streams.contains_key(&found.topic);
+        match found.iter().any(|found| is_known(&found)) {
+            true => found.iter().filter(is_known).any(has_earlier),
+            false => found.iter().any(has_earlier),
         }
     }
 
@@ -595,6 +625,29 @@ impl Tables {
             }
         }
     }
+}
+
+/// Offset from stamps to receive times. Each episode restarts its clock, so episodes of the same topics
+/// are placed one after another. Tables of other topics are recordings of the same run.
+fn receive_offset_ns(
+    streams: &BTreeMap<String, TableStream>,
+    first: i64,
+    found: &[TableTopic],
+) -> i64 {
+    const EPISODE_GAP_NS: i64 = NANOS_PER_SECOND / 1000;
+    let same = found.iter().filter_map(|found| streams.get(&found.topic));
+    let episodes: BTreeSet<usize> =
+        same.flat_map(|stream| stream.episodes.iter().copied()).collect();
+    let earlier = streams.values().filter(|stream| !stream.episodes.is_disjoint(&episodes));
+    let times = earlier.flat_map(|stream| stream.columns.times());
+    match times.filter_map(|times| times.log.last().copied()).max() {
+        Some(until) if first <= until => until.saturating_add(EPISODE_GAP_NS).saturating_sub(first),
+        _ => 0,
+    }
+}
+
+fn is_unnamed(columns: &Columns) -> bool {
+    matches!(columns, Columns::Array(array) if array.unnamed)
 }
 
 /// Maps the file at `place` if it has the same content; otherwise copies.
@@ -692,28 +745,33 @@ fn rate_in(value: &Value) -> Option<f64> {
     own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
 }
 
-/// Number of rows that most arrays share. A `k` by `N` array is transposed if `N` is that number.
-fn common_rows(shapes: &[Vec<usize>]) -> usize {
-    /// Minimum ratio of rows to columns in a transposed array.
-    const MIN_ASPECT: usize = 4;
-    let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
+/// Number of arrays that may have each number of rows. A `k` by `N` array has `k` or `N`.
+type RowCounts = BTreeMap<usize, usize>;
+
+fn row_counts(shapes: &[Vec<usize>]) -> RowCounts {
+    let mut counts = RowCounts::new();
     for shape in shapes {
-        if let Some(rows) = shape.first() {
-            *votes.entry(*rows).or_default() += 1;
-        }
-        if let &[columns, rows] = shape.as_slice()
-            && (1..=MAX_WIDTH).contains(&columns)
-            && rows / MIN_ASPECT > columns
-        {
-            *votes.entry(rows).or_default() += 1;
-        }
+        let sides = [shape.first().copied(), long_side(shape)];
+        sides.into_iter().flatten().for_each(|rows| *counts.entry(rows).or_default() += 1);
     }
-    let most = votes.into_iter().max_by_key(|&(rows, votes)| (votes, rows));
-    most.map_or(0, |(rows, _)| rows)
+    counts
 }
 
-fn is_transposed(shape: &[usize], rows: usize) -> bool {
-    matches!(shape, &[columns, own] if own == rows && columns < rows)
+/// Second side of an array that may be transposed.
+fn long_side(shape: &[usize]) -> Option<usize> {
+    /// Minimum ratio of rows to columns in a transposed array.
+    const MIN_ASPECT: usize = 4;
+    let &[columns, rows] = shape else { return None };
+    ((1..=MAX_WIDTH).contains(&columns) && rows / MIN_ASPECT > columns).then_some(rows)
+}
+
+/// Whether more arrays have the second side as their number of rows than the first, or as many.
+fn is_transposed(shape: &[usize], counts: &RowCounts) -> bool {
+    let most = counts.iter().max_by_key(|&(rows, count)| (count, rows)).map(|(rows, _)| *rows);
+    let is_most = matches!(shape, &[columns, rows] if Some(rows) == most && columns < rows);
+    let count = |rows: usize| counts.get(&rows).copied().unwrap_or(0);
+    is_most
+        || long_side(shape).is_some_and(|rows| count(rows) > 1 && count(rows) >= count(shape[0]))
 }
 
 fn most_frequent(rows: impl Iterator<Item = usize>) -> usize {

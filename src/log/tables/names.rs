@@ -25,6 +25,23 @@ pub(super) fn is_joints_or_pose(name: &str) -> bool {
     is_joint_positions(&words) || is_pose(&words)
 }
 
+pub(super) const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees", "grad", "grados"];
+
+pub(super) fn says_degrees(name: &str) -> bool {
+    name.contains('°') || contains_any(&split_words(name), DEGREE_WORDS)
+}
+
+pub(super) fn singular(word: &str) -> &str {
+    word.strip_suffix('s').unwrap_or(word)
+}
+
+/// Whether a name denotes the base alone, as UR's pendant names the first joint.
+pub(super) fn is_base(name: &str) -> bool {
+    let mut words = split_words(name);
+    words.retain(|word| !UNIT_WORDS.contains(&word.as_str()));
+    words == ["base"]
+}
+
 /// Lower-case words. Splits at characters other than letters and digits, before a capital that follows a
 /// small letter, and between letters and digits.
 pub(super) fn split_words(name: &str) -> Vec<String> {
@@ -130,6 +147,15 @@ const JOINT_WORDS: &[&str] = &[
     "motors",
     "theta",
     "servo",
+    "gelenk",
+    "achse",
+    "axe",
+    "eje",
+    "asse",
+    "关节",
+    "轴",
+    "関節",
+    "軸",
 ];
 /// Parts of arms in joint names.
 const LIMB_WORDS: &[&str] =
@@ -191,6 +217,8 @@ const ROTATION_WORDS: &[&str] = &[
     "rotation",
     "rotations",
     "attitude",
+    "drehung",
+    "orientierung",
     "euler",
     "rpy",
     "rotvec",

@@ -6,8 +6,8 @@ use std::io::{Cursor, Read};
 
 use super::chunks::unravel_index;
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext, Table,
-    TableError, common_rows, is_transposed,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext, RowCounts,
+    Table, TableError, is_transposed, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -95,8 +95,8 @@ struct Header {
 
 pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let (header, data) = parse_header(bytes)?;
-    let rows = common_rows(std::slice::from_ref(&header.shape));
-    let array = NpyArray::new("array", header, data.len(), rows)?;
+    let rows = row_counts(std::slice::from_ref(&header.shape));
+    let array = NpyArray::new("array", header, data.len(), &rows)?;
     let candidates = array.columns(data, context.memory)?;
     Ok(vec![("0".to_owned(), Table::from_columns(candidates, None, context.memory))])
 }
@@ -132,17 +132,17 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     }
     let shapes: Vec<Vec<usize>> =
         arrays.iter().map(|(_, _, header, _)| header.shape.clone()).collect();
-    let common = common_rows(&shapes);
+    let common = row_counts(&shapes);
     for (index, name, header, begin) in arrays {
         let needed = header.bytes().and_then(|bytes| bytes.checked_add(begin));
-        let array = match NpyArray::new(&name, header, needed.unwrap_or(usize::MAX) - begin, common)
-        {
-            Ok(array) => array,
-            Err(why) => {
-                unread.push((name, why.to_string()));
-                continue;
-            }
-        };
+        let array =
+            match NpyArray::new(&name, header, needed.unwrap_or(usize::MAX) - begin, &common) {
+                Ok(array) => array,
+                Err(why) => {
+                    unread.push((name, why.to_string()));
+                    continue;
+                }
+            };
         let rows = array.rows;
         // Unpacked bytes and numbers are in memory at the same time.
         let most = needed.unwrap_or(usize::MAX) as u64;
@@ -160,10 +160,10 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     if candidates.is_empty() {
         return Err("it contains no array of numbers".into());
     }
-    let mut table = Table::from_columns(candidates, None, context.memory);
-    table.rate_hz = rate_hz;
-    table.unread.extend(unread);
-    Ok(vec![("0".to_owned(), table)])
+    let mut tables = Table::by_row_count(candidates, context.memory);
+    tables[0].rate_hz = rate_hz;
+    tables[0].unread.extend(unread);
+    Ok(tables.into_iter().map(|table| ("0".to_owned(), table)).collect())
 }
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
@@ -207,8 +207,13 @@ struct NpyArray<'a> {
 }
 
 impl<'a> NpyArray<'a> {
-    /// Checks the header against the `bytes` of data. An array with `rows` columns is transposed.
-    fn new(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, TableError> {
+    /// Checks the header against the `bytes` of data.
+    fn new(
+        name: &'a str,
+        header: Header,
+        bytes: usize,
+        rows: &RowCounts,
+    ) -> Result<Self, TableError> {
         let mut header = header;
         if is_transposed(&header.shape, rows) {
             header.shape.swap(0, 1);

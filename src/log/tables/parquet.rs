@@ -648,9 +648,10 @@ impl LeafValues {
         {
             return Err(column.name);
         }
-        // With half of the lists empty, the stream is slower than the table; nothing is lost.
+        // With many empty lists, the table has other streams; nothing is lost.
+        const MIN_EMPTY_PERCENT: usize = 25;
         let empty = lengths.iter().filter(|length| **length == 0).count();
-        let is_sparse = 2 * empty >= lengths.len();
+        let is_sparse = 100 * empty >= MIN_EMPTY_PERCENT * lengths.len();
         let mut whole = Vec::with_capacity(width * lengths.len());
         let mut at = 0;
         for (row, length) in lengths.iter().enumerate() {

@@ -4,24 +4,27 @@
 //! A document is a list of records, one record for each key, or one list for each column. Several YAML documents,
 //! as `rostopic echo` prints them, are one record each.
 
+use std::collections::BTreeSet;
+
 use serde_json::{Map, Value};
 
 use super::csv::{decimal_billionths, text_number};
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_WIDTH, ReadContext, Table, TableError, clock,
-    most_frequent, rate_in,
+    Column, ColumnSettings, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_WIDTH, ReadContext, Table,
+    TableError, clock, most_frequent, rate_in,
 };
 use crate::Extent;
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
 
 /// Bytes of parsed values per byte of text, at most.
 const VALUE_BYTES_PER_BYTE: u64 = 24;
-/// Other columns are text.
-const MIN_NUMERIC_SHARE: f64 = 0.5;
 /// Keys of records from 2001 to 2128 are times, s.
 const EPOCH_S: std::ops::Range<f64> = 1e9..5e9;
 /// Times in names of records that a folder of logs may contain.
 const HEAD_KEYS: usize = 64;
+/// Keys of the topic, if records of several topics are in one file.
+const TOPIC_KEYS: [&str; 4] = ["topic", "channel", "stream", "type"];
+const MAX_TOPICS: usize = 64;
 
 /// Whether a text starts like a JSON object or a list of objects or numbers.
 pub(crate) fn looks_like_json(bytes: &[u8]) -> bool {
@@ -94,7 +97,7 @@ pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     let document = match serde_json::from_slice::<Value>(text) {
         Ok(document) => document,
         Err(error) => match read_lines(text, context)? {
-            Some(records) => return Ok(records.finish(context)),
+            Some(records) => return records.finish(context),
             None => return Err(format!("the JSON cannot be read: {error}").into()),
         },
     };
@@ -157,7 +160,7 @@ pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     if let Some((count, first)) = malformed {
         context.losses.add_unplaced(Extent::Messages, Some(count), first);
     }
-    Ok(records.finish(context))
+    records.finish(context)
 }
 
 fn parse_yaml(document: &str) -> Result<Value, TableError> {
@@ -195,7 +198,7 @@ fn read_document(document: &Value, context: &mut ReadContext) -> Result<Episodes
             Shape::List(items) => {
                 items.iter().try_for_each(|item| records.push(item, context.memory))?;
             }
-            Shape::Columns(columns) => records.push_columns(&columns, context.memory)?,
+            Shape::Columns(columns) => return read_columns(&columns, records, context),
             Shape::One => records.push(document, context.memory)?,
         },
         _ => return Err("it contains no records".into()),
@@ -203,7 +206,45 @@ fn read_document(document: &Value, context: &mut ReadContext) -> Result<Episodes
     if records.columns.is_empty() {
         return Err("it contains no rows of numbers".into());
     }
-    Ok(records.finish(context))
+    records.finish(context)
+}
+
+/// A table for the most frequent length, then one for each other length with times of its own.
+fn read_columns(
+    lists: &[(String, &[Value])],
+    mut main: Records,
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let rows = most_frequent(lists.iter().map(|(_, list)| list.len()));
+    let lengths: BTreeSet<usize> = lists.iter().map(|(_, list)| list.len()).collect();
+    let mut tables = Vec::new();
+    for length in lengths {
+        let own: Vec<&(String, &[Value])> =
+            lists.iter().filter(|(_, list)| list.len() == length).collect();
+        if length == rows {
+            main.push_columns(&own, context.memory)?;
+            continue;
+        }
+        let mut records = Records::default();
+        if own.len() > 1 {
+            records.push_columns(&own, context.memory)?;
+        }
+        let found = records.finish(context)?;
+        let has_clock = |(_, table): &(String, Table)| {
+            table.columns.len() > 1 && clock::detect(table, &ColumnSettings::default()).is_ok()
+        };
+        match found.iter().all(has_clock) {
+            true => tables.extend(found),
+            false => {
+                let why = format!("{length} rows, not {rows}");
+                main.unread.extend(own.iter().map(|(name, _)| (name.clone(), why.clone())));
+            }
+        }
+    }
+    if main.columns.is_empty() {
+        return Err("it contains no rows of numbers".into());
+    }
+    Ok([main.finish(context)?, tables].concat())
 }
 
 /// Layout of an object.
@@ -279,10 +320,17 @@ struct Records {
     unread: Vec<(String, String)>,
     /// Rows whose vectors have another width, and the first one.
     uneven: Option<(u64, String)>,
+    /// Topic of each record that names one.
+    topics: Vec<String>,
 }
 
 impl Records {
     fn push(&mut self, record: &Value, memory: &mut MemoryBudget) -> Result<(), TableError> {
+        let topic = TOPIC_KEYS.iter().find_map(|key| record.get(*key)?.as_str());
+        if let Some(topic) = topic.filter(|_| self.topics.len() == self.rows) {
+            memory.check_available((self.topics.len() * size_of::<String>()) as u64)?;
+            self.topics.push(topic.to_owned());
+        }
         self.add(record, "", 0, memory)?;
         self.end_row(memory)
     }
@@ -300,19 +348,14 @@ impl Records {
         self.push(record, memory)
     }
 
+    /// Lists of the same length.
     fn push_columns(
         &mut self,
-        lists: &[(String, &[Value])],
+        lists: &[&(String, &[Value])],
         memory: &mut MemoryBudget,
     ) -> Result<(), TableError> {
-        let rows = most_frequent(lists.iter().map(|(_, list)| list.len()));
-        let (whole, others): (Vec<_>, Vec<_>) =
-            lists.iter().partition(|(_, list)| list.len() == rows);
-        for (name, list) in others {
-            self.unread.push((name.clone(), format!("{} rows, not {rows}", list.len())));
-        }
-        for row in 0..rows {
-            for (name, list) in &whole {
+        for row in 0..lists.first().map_or(0, |(_, list)| list.len()) {
+            for (name, list) in lists {
                 self.add(&list[row], name, 0, memory)?;
             }
             self.end_row(memory)?;
@@ -425,7 +468,7 @@ impl Records {
         Ok(())
     }
 
-    fn finish(self, context: &mut ReadContext) -> Episodes {
+    fn finish(self, context: &mut ReadContext) -> Result<Episodes, TableError> {
         let rows = self.rows;
         if let Some((count, first)) = self.uneven {
             context.losses.add_unplaced(Extent::Messages, Some(count), first);
@@ -437,7 +480,10 @@ impl Records {
             unread: self.unread,
             ..Table::default()
         };
-        for (mut column, (texts, first)) in self.columns.into_iter().zip(self.texts) {
+        let (columns, texts) = (self.columns, self.texts);
+        let names = topic_names(&columns, &self.topics, rows);
+        for ((column, (texts, first)), topics) in columns.into_iter().zip(texts).zip(names) {
+            let mut column = column;
             let missing = (rows * column.width).saturating_sub(column.values.len());
             if let Err(refusal) = context.memory.reserve(missing) {
                 TableError::from(refusal).report(Some(rows as u64), context.losses);
@@ -448,11 +494,16 @@ impl Records {
                 column.billionths.resize(rows, None);
             }
             let finite = column.values.iter().filter(|value| value.is_finite()).count();
-            let is_numeric = finite as f64 >= MIN_NUMERIC_SHARE * column.values.len() as f64;
+            // Records of other streams lack the number.
+            let is_numeric = finite > 0 && finite >= texts;
             match (is_numeric, texts) {
+                (true, _) if !topics.is_empty() => {
+                    context.memory.reserve(column.values.len() * topics.len())?;
+                    table.columns.extend(split_by_topic(&column, &self.topics, &topics));
+                }
                 (true, _) => table.columns.push(column),
                 (false, 0) => {
-                    table.unread.push((column.name, "most of its rows have no number".to_owned()));
+                    table.unread.push((column.name, "none of its rows has a number".to_owned()));
                 }
                 (false, _) => {
                     table.texts.insert(column.name.clone(), first);
@@ -460,8 +511,49 @@ impl Records {
                 }
             }
         }
-        vec![("0".to_owned(), table)]
+        Ok(vec![("0".to_owned(), table)])
     }
+}
+
+/// Topics of the records that have each column, if records of several topics have different columns. Empty for columns
+/// of times and of records without topics.
+fn topic_names(columns: &[Column], topics: &[String], rows: usize) -> Vec<Vec<String>> {
+    let distinct: BTreeSet<&String> = topics.iter().collect();
+    let of_column = |column: &Column| -> Vec<String> {
+        if clock::is_time(&column.name) {
+            return Vec::new();
+        }
+        let has_number = |row: usize| {
+            let own = column.values.get(row * column.width..(row + 1) * column.width);
+            own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
+        };
+        let own = (0..rows.min(topics.len())).filter(|row| has_number(*row));
+        own.map(|row| &topics[row]).collect::<BTreeSet<_>>().into_iter().cloned().collect()
+    };
+    let found: Vec<Vec<String>> = columns.iter().map(of_column).collect();
+    let is_partial = |own: &Vec<String>| !own.is_empty() && own.len() < distinct.len();
+    let are_split = topics.len() == rows
+        && (2..=MAX_TOPICS).contains(&distinct.len())
+        && found.iter().any(is_partial);
+    if are_split { found } else { vec![Vec::new(); columns.len()] }
+}
+
+/// A column for each topic, named after both.
+fn split_by_topic(column: &Column, topics: &[String], own: &[String]) -> Vec<Column> {
+    let of_topic = |topic: &String| {
+        let rows = column.values.chunks(column.width).zip(topics);
+        let values = rows.flat_map(|(row, its)| {
+            row.iter().map(move |value| if its == topic { *value } else { f64::NAN })
+        });
+        Column {
+            name: joined(topic.trim_matches('/'), &column.name),
+            kind: column.kind.clone(),
+            width: column.width,
+            values: values.collect(),
+            ..Column::default()
+        }
+    };
+    own.iter().map(of_topic).collect()
 }
 
 /// Appends nested numbers. False if there is anything else, or too many.

@@ -2,10 +2,11 @@
 //!
 //! Readers pass their columns to [`Table::of`]. Each loss on the way becomes a [`RowLoss`].
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
-use super::clock::Clock;
-use super::{Column, Extent, Losses, Table, most_frequent, names};
+use super::clock::{self, Clock};
+use super::{Column, ColumnSettings, Extent, Losses, Table, most_frequent, names};
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
 use ground::stream::is_usable;
 
@@ -124,6 +125,24 @@ impl Table {
         table
     }
 
+    /// One table for the most frequent number of rows, then one for each other number whose columns have a clock of
+    /// their own: streams of different rates. The first table reports the remaining columns.
+    pub fn by_row_count(candidates: Vec<ReadColumn>, memory: &mut MemoryBudget) -> Vec<Self> {
+        let main = most_frequent(candidates.iter().map(|candidate| candidate.rows));
+        let counts: BTreeSet<usize> = candidates.iter().map(|candidate| candidate.rows).collect();
+        let is_stream = |rows: &usize| *rows != main && has_own_clock(&candidates, *rows);
+        let streams: Vec<usize> = counts.into_iter().filter(is_stream).collect();
+        let (others, own): (Vec<_>, Vec<_>) =
+            candidates.into_iter().partition(|candidate| streams.contains(&candidate.rows));
+        let mut tables = vec![Self::from_columns(own, Some(main), memory)];
+        let mut others = others;
+        for rows in streams.into_iter().rev() {
+            let own = others.extract_if(.., |candidate| candidate.rows == rows).collect();
+            tables.push(Self::from_columns(own, Some(rows), memory));
+        }
+        tables
+    }
+
     fn add(&mut self, candidate: ReadColumn, memory: &mut MemoryBudget) {
         let ReadColumn { mut column, rows: own, mut lost, why } = candidate;
         let (rows, width, name) = (self.rows, column.width, column.name.clone());
@@ -180,6 +199,20 @@ impl Table {
         let after = lost.partition_point(|range| range.end <= row);
         lost.get(after).is_some_and(|range| range.contains(&row))
     }
+}
+
+/// Whether the columns with this number of rows contain times and other numbers.
+fn has_own_clock(candidates: &[ReadColumn], rows: usize) -> bool {
+    let own = || candidates.iter().filter(|candidate| candidate.rows == rows);
+    let columns = own().filter(|own| may_be_clock(own.column.width) && own.lost.is_empty());
+    let columns: Vec<Column> = columns.map(|candidate| candidate.column.clone()).collect();
+    let table = Table { rows, columns, ..Table::default() };
+    own().count() > 1 && clock::detect(&table, &ColumnSettings::default()).is_ok()
+}
+
+/// Whether a column of this width may contain times: one number, or seconds and nanoseconds.
+pub(super) fn may_be_clock(width: usize) -> bool {
+    matches!(width, 1 | 2)
 }
 
 /// Columns of the same instants with different row counts lack rows. A slower stream of the same run has at

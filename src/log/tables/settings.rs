@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::Table;
 use super::row_layout::{FileLayout, RowLayout};
 
 /// Configured columns. Others are identified by name.
@@ -30,6 +31,25 @@ pub struct ColumnSettings {
 }
 
 impl ColumnSettings {
+    /// Without the columns that `table` lacks but another table of its episode has, by the names in `others`.
+    pub(super) fn without(&self, others: &[&String], table: &Table) -> Self {
+        let is_own = |name: &str| {
+            let is_it = |other: &&&String| {
+                **other == name || other.split_once(" [").is_some_and(|(bare, _)| bare == name)
+            };
+            table.column(name).is_some() || !others.iter().any(|other| is_it(&other))
+        };
+        let mut own = self.clone();
+        own.time = own.time.filter(|name| is_own(name.split('[').next().unwrap_or(name)));
+        for selectors in
+            [&mut own.joints, &mut own.joint_commands, &mut own.pose, &mut own.pose_commands]
+        {
+            selectors.retain(|selector| is_own(&selector.column));
+        }
+        own.arms.iter_mut().for_each(|(_, arm)| *arm = arm.without(others, table));
+        own
+    }
+
     /// If so, no other columns are searched.
     pub(super) fn declares_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();

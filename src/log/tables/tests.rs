@@ -4,6 +4,7 @@ mod episodes;
 mod hdf5_writer;
 mod layouts;
 mod limits;
+mod rates;
 mod records;
 pub(crate) mod stores;
 mod trajectories;

@@ -1,5 +1,6 @@
 //! Excel workbooks (`.xlsx`). Each sheet with rows of numbers is a text table.
 
+use std::collections::BTreeSet;
 use std::io::{Cursor, Read, copy, sink};
 
 use calamine::{DataRef, ExcelDateTime, Reader, Xlsx, XlsxError};
@@ -22,7 +23,7 @@ pub(crate) fn is_workbook(bytes: &[u8]) -> bool {
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     check_size(bytes, context.memory)?;
     let mut book: Xlsx<_> = Xlsx::new(Cursor::new(bytes)).map_err(|error| refusal(&error))?;
-    let mut found = Vec::new();
+    let mut found: Episodes = Vec::new();
     for name in book.sheet_names().into_iter().take(MAX_SHEETS) {
         let text = match sheet_text(&mut book, &name, context.memory) {
             Ok(text) => text,
@@ -38,6 +39,12 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     }
     if found.is_empty() {
         return Err("no sheet of the workbook has rows of numbers".into());
+    }
+    // Sheets with the same columns are runs, otherwise streams of one run.
+    let columns: BTreeSet<Vec<String>> =
+        found.iter().map(|(_, table)| table.column_names()).collect();
+    if columns.len() == found.len() {
+        found.iter_mut().for_each(|(name, _)| "0".clone_into(name));
     }
     Ok(found)
 }

@@ -172,8 +172,10 @@ impl<'a> ColumnSearch<'a> {
     fn identify(&self, log: &Log) -> IdentifiedColumns {
         let mut identified = IdentifiedColumns::default();
         let joints = self.known_joints(log);
-        let position = self.cells.columns_of_kind(NumberKind::Position);
-        let position = <[usize; 3]>::try_from(position.get(..3).unwrap_or_default()).ok();
+        // Of each pose that is known by name; a rotation may be named like a position.
+        let known = self.cells.columns_of_kind(NumberKind::Position);
+        let positions: Vec<[usize; 3]> =
+            known.chunks_exact(3).map(|own| [own[0], own[1], own[2]]).collect();
         let are_joints_known = !self.cells.columns_of_kind(NumberKind::Joint).is_empty();
         let mut taken: Vec<usize> = if are_joints_known {
             self.cells.columns_of_kind(NumberKind::Joint)
@@ -182,14 +184,22 @@ impl<'a> ColumnSearch<'a> {
         };
         while identified.arms.len() < MAX_ARMS {
             let chains = self.chains();
-            let wanted = MappingConstraints {
+            let mut wanted = MappingConstraints {
                 chains: &chains,
                 joints: joints.as_deref(),
-                position,
+                position: positions.first().copied(),
                 taken: &taken,
                 max_lag_s: self.max_lag_s,
             };
             let mut mappings = self.cells.table.mappings(&wanted);
+            for other in positions.iter().skip(1) {
+                let wanted = MappingConstraints { position: Some(*other), ..wanted };
+                mappings.extend(self.cells.table.mappings(&wanted));
+                mappings.sort_by(|a, b| a.score.total_cmp(&b.score));
+            }
+            if let (Some(best), [_, _, ..]) = (mappings.first(), positions.as_slice()) {
+                wanted.position = Some(best.position);
+            }
             mappings.retain(|mapping| {
                 self.uses_whole_arrays(mapping) && mapping.spread_m < MAX_SPREAD_M
             });
@@ -237,7 +247,7 @@ impl<'a> ColumnSearch<'a> {
                     break;
                 }
             }
-            if are_joints_known || position.is_some() {
+            if are_joints_known || !positions.is_empty() {
                 break;
             }
         }

@@ -1,0 +1,242 @@
+//! Streams of different rates, and text as spreadsheets write it.
+
+use std::io::Write;
+
+use super::*;
+
+/// An NPY array of float64 by rows.
+fn array_of(shape: &[usize], number: impl Fn(usize) -> f64) -> Vec<u8> {
+    let sides: String = shape.iter().map(|side| format!("{side}, ")).collect();
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({sides}), }}\n");
+    let count = shape.iter().product::<usize>();
+    npy(&header, &(0..count).flat_map(|at| number(at).to_le_bytes()).collect::<Vec<u8>>())
+}
+
+fn npz(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, array) in arrays {
+        let options = zip::write::SimpleFileOptions::default();
+        archive.start_file(format!("{name}.npy"), options).expect("a member");
+        archive.write_all(array).expect("written");
+    }
+    archive.finish().expect("an archive").into_inner()
+}
+
+/// No time: it does not increase.
+fn wave(at: usize) -> f64 {
+    (0.01 * at as f64).sin()
+}
+
+/// Joint states at 100 Hz and poses at 40 Hz, each with its times.
+fn two_rates() -> Vec<(&'static str, Vec<u8>)> {
+    vec![
+        ("t_joint", array_of(&[500], |row| 5.0 + 0.01 * row as f64)),
+        ("q", array_of(&[500, 6], wave)),
+        ("t_pose", array_of(&[200], |row| 5.004 + 0.025 * row as f64)),
+        ("tcp_pose", array_of(&[200, 6], wave)),
+    ]
+}
+
+#[test]
+fn arrays_with_times_of_their_own_are_streams() {
+    let log = plain(&npz(&two_rates()));
+    assert_eq!(joints(&log, "q").1.len(), 500);
+    assert_eq!(stamps(&log, "q")[1], 5_010_000_000);
+    assert_eq!(array(&log, "tcp_pose").1.len(), 200 * 6);
+    assert_eq!(stamps(&log, "tcp_pose")[1], 5_029_000_000);
+    assert!(log.losses.is_empty(), "{:?}", log.losses);
+    // Without its times, nothing shows when the poses were measured.
+    let mut arrays = two_rates();
+    arrays.remove(2);
+    let log = plain(&npz(&arrays));
+    assert!(topic(&log, "tcp_pose").columns.is_none());
+}
+
+#[test]
+fn transposed_arrays_of_two_rates_are_turned() {
+    let arrays = [
+        ("tq", array_of(&[1, 500], |row| 0.01 * row as f64)),
+        ("q", array_of(&[7, 500], wave)),
+        ("tp", array_of(&[1, 200], |row| 0.025 * row as f64)),
+        ("tcp_pose", array_of(&[6, 200], wave)),
+    ];
+    let log = plain(&npz(&arrays));
+    assert_eq!(joints(&log, "q").1[1][..2], [wave(1), wave(501)]);
+    assert_eq!(array(&log, "tcp_pose").1[..2], [wave(0), wave(200)]);
+}
+
+#[test]
+fn config_columns_may_be_of_either_rate() {
+    let selector = |text: &str| vec![text.parse().expect("a selector")];
+    let columns = ColumnSettings {
+        time: Some("t_joint".to_owned()),
+        joints: selector("q"),
+        pose: selector("tcp_pose"),
+        ..ColumnSettings::default()
+    };
+    let log = read(&npz(&two_rates()), columns).expect("a log");
+    assert_eq!(joints(&log, "joints").1.len(), 500);
+    assert_eq!(array(&log, "pose").1.len(), 200 * 6);
+    let absent = ColumnSettings { joints: selector("p"), ..ColumnSettings::default() };
+    assert!(read(&npz(&two_rates()), absent).is_err());
+}
+
+/// Joints every 10 ms and poses every 25 ms, never in one row.
+fn sparse_csv() -> String {
+    let mut rows: Vec<(f64, String)> = Vec::new();
+    for k in 0..200 {
+        let q: Vec<String> =
+            (0..6).map(|joint| format!("{:.4}", 1e-3 * f64::from(k + joint))).collect();
+        rows.push((0.01 * f64::from(k), format!("{},,,,,,", q.join(","))));
+    }
+    for k in 0..80 {
+        let pose: Vec<String> =
+            (0..6).map(|part| format!("{:.4}", 1e-3 * f64::from(k + part))).collect();
+        rows.push((0.025 * f64::from(k) + 0.003, format!(",,,,,,{}", pose.join(","))));
+    }
+    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let lines = rows.iter().map(|(t_s, cells)| format!("{t_s:.3},{cells}\n"));
+    format!("time,q1,q2,q3,q4,q5,q6,x,y,z,rx,ry,rz\n{}", lines.collect::<String>())
+}
+
+#[test]
+fn empty_cells_of_another_rate_are_no_samples() {
+    let log = plain(sparse_csv().as_bytes());
+    let Some(Columns::Joints(own)) = &topic(&log, "q").columns else { panic!("no joints") };
+    assert_eq!((own.times.len(), own.not_finite), (200, 0));
+    assert!(own.unusable.iter().all(|count| *count == 0), "{:?}", own.unusable);
+    let Some(Columns::Array(pose)) = &topic(&log, "pose").columns else { panic!("no pose") };
+    assert_eq!((pose.times.len(), pose.not_finite), (80, 0));
+    let why = topic(&log, "pose").read_as.clone().expect("a reason");
+    assert!(why.ends_with("; in 80 of 280 rows"), "{why}");
+    assert!(log.losses.is_empty(), "{:?}", log.losses);
+}
+
+#[test]
+fn empty_cells_of_a_tracker_that_loses_its_target_are_unusable_samples() {
+    let row = |k: usize| {
+        let pose = if (40..60).contains(&k) { ",,,,," } else { "1,2,3,4,5,6" };
+        format!("{:.2},0,1,2,3,4,{},{pose}\n", 0.01 * k as f64, 1e-3 * k as f64)
+    };
+    let text = (0..200).map(row).collect::<String>();
+    let log = plain(format!("time,q1,q2,q3,q4,q5,q6,x,y,z,rx,ry,rz\n{text}").as_bytes());
+    let Some(Columns::Array(pose)) = &topic(&log, "pose").columns else { panic!("no pose") };
+    assert_eq!((pose.times.len(), pose.not_finite), (180, 20));
+}
+
+#[test]
+fn text_of_a_spreadsheet_is_read_in_its_encoding() {
+    let header = "Zeit;A1 [°];A2 [°];A3 [°];A4 [°];A5 [°];A6 [°]\r\n";
+    let row = |k: u32| {
+        format!("{};{k};1;2;3;4;5\r\n", format!("{:.2}", 0.01 * f64::from(k)).replace('.', ","))
+    };
+    let text = header.to_owned() + &(0..50).map(row).collect::<String>();
+    let utf16: Vec<u8> =
+        [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let single: Vec<u8> = text.chars().map(|c| u32::from(c) as u8).collect();
+    for bytes in [text.into_bytes(), utf16, single] {
+        let log = plain(&bytes);
+        let (_, rows) = joints(&log, "a");
+        assert!((rows[10][0] - 10f64.to_radians()).abs() < 1e-12, "{:?}", rows[10]);
+        assert_eq!(stamps(&log, "a")[10], 100_000_000);
+    }
+}
+
+#[test]
+fn files_with_the_same_counters_are_one_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str, columns: &str, cells: &str| {
+        let row = |k: usize| format!("{},{k},{cells}\n", 10 * k as u64 + 1_700_000_000_000);
+        let text = (0..100).map(row).collect::<String>();
+        let path = folder.path().join(name);
+        fs::write(&path, format!("time_ms,seq,{columns}\n{text}")).expect("a file");
+        path
+    };
+    let paths = [
+        file("joints.csv", "q1,q2,q3,q4,q5,q6", "0.1,0.2,0.3,0.4,0.5,0.6"),
+        file("tool.csv", "x,y,z,qx,qy,qz,qw", "0.1,0.2,0.3,0,0,0,1"),
+    ];
+    let log = open(&paths, &ReadOptions::default()).expect("a log");
+    let received =
+        |name: &str| topic(&log, name).columns.as_ref().expect("columns").times()[0].log[0];
+    assert_eq!(received("q"), received("tool"));
+    // The same joints again are the next episode.
+    let again = file("again.csv", "q1,q2,q3,q4,q5,q6", "0.1,0.2,0.3,0.4,0.5,0.7");
+    let log = open(&[paths[0].clone(), again], &ReadOptions::default()).expect("a log");
+    let times = topic(&log, "q").columns.as_ref().expect("columns").times()[0].log.clone();
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1]));
+}
+
+#[test]
+fn columns_have_the_times_that_are_named_like_them() {
+    let late_s = 0.017;
+    let arrays = [
+        ("joint_time", array_of(&[200], |row| 5.0 + 0.01 * row as f64)),
+        ("joint_position", array_of(&[200, 6], wave)),
+        ("tcp_time", array_of(&[200], |row| 5.0 + late_s + 0.01 * row as f64)),
+        ("tcp_pose", array_of(&[200, 6], wave)),
+    ];
+    let log = plain(&npz(&arrays));
+    assert_eq!(stamps(&log, "joint_position")[0], 5_000_000_000);
+    assert_eq!(stamps(&log, "tcp_pose")[0], 5_017_000_000);
+}
+
+#[test]
+fn blocks_of_columns_with_times_of_their_own_are_streams() {
+    let joints_of = |k: usize| format!("{:.2},0,1,2,3,4,{}", 0.01 * k as f64, 1e-3 * k as f64);
+    let pose_of = |k: usize| match k {
+        0..80 => format!("{:.3},1,2,3,0,0,{}", 0.025 * k as f64 + 0.004, 1e-3 * k as f64),
+        _ => ",,,,,,".to_owned(),
+    };
+    let rows = (0..200).map(|k| format!("{},{}\n", joints_of(k), pose_of(k)));
+    let header = "time_joints,q1,q2,q3,q4,q5,q6,time_pose,x,y,z,rx,ry,rz\n";
+    let log = plain((header.to_owned() + &rows.collect::<String>()).as_bytes());
+    assert_eq!(joints(&log, "q").1.len(), 200);
+    assert_eq!(stamps(&log, "pose").len(), 80);
+    assert_eq!(stamps(&log, "pose")[2], 54_000_000);
+    let received = &topic(&log, "pose").columns.as_ref().expect("columns").times()[0].log;
+    assert_eq!(received[2], 54_000_000);
+}
+
+#[test]
+fn records_of_several_topics_are_streams() {
+    let joints_of = |k: usize| {
+        format!(
+            r#"{{"topic": "/joint_states", "stamp": {:.2}, "position": [0,1,2,3,4,{}]}}"#,
+            0.01 * k as f64,
+            1e-3 * k as f64
+        )
+    };
+    let pose_of = |k: usize| {
+        format!(
+            r#"{{"topic": "/tcp", "stamp": {:.3}, "pose": [1,2,3,0,0,{}]}}"#,
+            0.01 * k as f64 + 0.004,
+            1e-3 * k as f64
+        )
+    };
+    let lines = (0..100).map(|k| format!("{}\n{}\n", joints_of(k), pose_of(k)));
+    let log = plain(lines.collect::<String>().as_bytes());
+    assert_eq!(joints(&log, "joint_states.position").1.len(), 100);
+    assert_eq!(array(&log, "tcp.pose").1.len(), 600);
+    // One topic is part of no name.
+    let lines = (0..100).map(|k| format!("{}\n", joints_of(k).replace("position", "q")));
+    assert_eq!(joints(&plain(lines.collect::<String>().as_bytes()), "q").1.len(), 100);
+}
+
+#[test]
+fn lists_of_different_lengths_in_a_document_are_streams() {
+    let list = |count: usize, number: &dyn Fn(usize) -> String| {
+        format!("[{}]", (0..count).map(number).collect::<Vec<_>>().join(","))
+    };
+    let text = format!(
+        r#"{{"joint_time": {}, "joint_positions": {}, "tcp_time": {}, "tcp_pose": {}}}"#,
+        list(500, &|row| format!("{:.2}", 0.01 * row as f64)),
+        list(500, &|row| format!("[0,1,2,3,4,{}]", 1e-3 * row as f64)),
+        list(200, &|row| format!("{:.3}", 0.025 * row as f64)),
+        list(200, &|row| format!("[1,2,3,0,0,{}]", 1e-3 * row as f64)),
+    );
+    let log = plain(text.as_bytes());
+    assert_eq!(joints(&log, "joint_positions").1.len(), 500);
+    assert_eq!(array(&log, "tcp_pose").1.len(), 1200);
+    assert_eq!(stamps(&log, "tcp_pose")[1], 25_000_000);
+}
