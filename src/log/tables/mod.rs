@@ -23,6 +23,7 @@ mod rsi;
 mod settings;
 #[cfg(test)]
 pub(super) mod tests;
+mod text_rows;
 mod tfrecord;
 mod trajectory;
 mod vector_cells;
