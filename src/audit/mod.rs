@@ -191,11 +191,13 @@ impl Audited {
         Figures { is_longest_segment: self.is_part, ..drawn }
     }
 
-    /// The report alone. Columns are freed in the background: for a long log that takes as long as writing
-    /// the report.
+    /// The report alone. Columns are freed in the background, if there are threads for it: for a long log that takes as
+    /// long as writing the report.
     pub fn into_report(self) -> Report {
         let Self { report, run, evidence, .. } = self;
-        rayon::spawn(|| drop((run, evidence)));
+        if rayon::current_num_threads() > 1 {
+            rayon::spawn(|| drop((run, evidence)));
+        }
         report
     }
 }

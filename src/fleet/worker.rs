@@ -96,6 +96,8 @@ impl Worker {
         command
             .env("RAYON_NUM_THREADS", "1")
             .env("POLARS_MAX_THREADS", "1")
+            // Audits run on the thread of the pool.
+            .env("RUST_MIN_STACK", STACK_BYTES.to_string())
             .env_remove("RUST_BACKTRACE")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -218,6 +220,9 @@ fn signal(_: ExitStatus) -> Option<i32> {
     None
 }
 
+/// Stack of an audit, as of a main thread.
+const STACK_BYTES: usize = 8 << 20;
+
 /// Maximum duration of an order: an interrupted call loses little.
 const MAX_ORDER_DURATION: Duration = Duration::from_secs(2);
 
@@ -243,10 +248,13 @@ pub fn serve(options: &Options, store: &Store, with_page: bool) -> io::Result<()
             WorkerOrder::Learn(path) => {
                 send_message(&WorkerMessage::Learned(infer_shared(&path_of(&path), options)))?
             }
-            WorkerOrder::Audit(jobs) => match audit_jobs(&jobs, options, store, with_page)? {
-                Ok(answers) => send_message(&WorkerMessage::Answers(answers))?,
-                Err(why) => send_message(&WorkerMessage::Fault(why))?,
-            },
+            // On the only thread of the pool, parallel loops are plain loops: no other thread has to wake up for each.
+            WorkerOrder::Audit(jobs) => {
+                match rayon::scope(|_| audit_jobs(&jobs, options, store, with_page))? {
+                    Ok(answers) => send_message(&WorkerMessage::Answers(answers))?,
+                    Err(why) => send_message(&WorkerMessage::Fault(why))?,
+                }
+            }
         }
     }
     Ok(())

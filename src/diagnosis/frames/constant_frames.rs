@@ -8,7 +8,7 @@ use crate::model::measurement::{
 };
 use crate::priors::MARKER_PRIOR_M;
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, PoseSums, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
@@ -291,7 +291,7 @@ impl LeastSquares for FramePair<'_> {
 
     fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
         const WEIGHTS: [f64; 2] = [1.0 / START_NOISE_M, START_LEVER_M / START_NOISE_M];
-        let mut normal = NormalEquations::zeros(12);
+        let mut sums = PoseSums::<12>::zeros();
         for (fk, logged) in self.fk.iter().zip(self.logged) {
             let jacobian = PoseJacobian::new(&[], reference, fk, tool);
             let turn = logged.rotation * jacobian.pose.rotation.inverse();
@@ -301,8 +301,9 @@ impl LeastSquares for FramePair<'_> {
                 0..6 => jacobian.reference(i),
                 _ => jacobian.tool(i - 6),
             });
-            normal.add_pose(&derivatives, residual, WEIGHTS);
+            sums.add(&derivatives, residual, WEIGHTS);
         }
+        let mut normal = sums.into_equations();
         for axis in 0..3 {
             let mut prior = [0.0; 12];
             prior[6 + axis] = 1.0 / MARKER_PRIOR_M;

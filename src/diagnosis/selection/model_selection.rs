@@ -14,6 +14,7 @@ use crate::solver::robust::{influence, sandwich};
 use ground::geometry::Pose;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::mem;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Minimum share of a parameter's effect that the others cannot imitate. Below it, causes are collinear and the
@@ -141,13 +142,25 @@ impl Linearized {
     /// Sets the weights from the residual with `causes` free. The search frees all candidates, so no fault
     /// counts as noise. Intervals free only the selected causes; others would absorb coloured noise and hide
     /// its autocorrelation.
-    fn update_weights(&mut self, state: &State, causes: &[Cause]) {
+    ///
+    /// Returns the previous weights with their equations.
+    fn update_weights(&mut self, state: &State, causes: &[Cause]) -> (Vec<Vec<Weight>>, Normal) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
-        self.weights = (0..self.streams.len())
+        let weights: Vec<Vec<Weight>> = (0..self.streams.len())
             .map(|s| self.streams[s].weights_after(&stream_step(&step, state, s)))
             .collect();
-        self.normal = normal_equations(&self.streams, &self.weights, state);
+        let normal = normal_equations(&self.streams, &weights, state);
+        self.set_weights(weights, normal)
+    }
+
+    /// Replaces the weights and their equations; returns the previous ones.
+    fn set_weights(
+        &mut self,
+        weights: Vec<Vec<Weight>>,
+        normal: Normal,
+    ) -> (Vec<Vec<Weight>>, Normal) {
         self.free_fit = Mutex::new(None);
+        (mem::replace(&mut self.weights, weights), mem::replace(&mut self.normal, normal))
     }
 
     /// Normal equations of some samples of each stream.
@@ -430,6 +443,8 @@ pub(crate) struct SelectedModel {
     /// Selected optional causes, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
+    /// Weights and equations of `linear` with all candidates free, from which a search continues.
+    search: (Vec<Vec<Weight>>, Normal),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -448,9 +463,10 @@ pub(crate) fn select_model(
     selection_start: SelectionStart,
     max_samples: usize,
 ) -> SelectedModel {
-    const MAX_ROUNDS: usize = 12;
     model_after_rounds(observations, start, candidates, selection_start, max_samples, MAX_ROUNDS)
 }
+
+const MAX_ROUNDS: usize = 12;
 
 /// Best model of one stream from several `starts`. Few rounds of each show which to continue.
 pub(crate) fn select_from_starts(
@@ -480,8 +496,10 @@ pub(crate) fn select_from_starts(
     let continued: Vec<SelectedModel> = distinct
         .into_par_iter()
         .map(|model| {
-            let at_state = SelectionStart::AtState;
-            select_model(observations, model.state, candidates, at_state, max_samples)
+            let SelectedModel { state, mut linear, search: (weights, normal), .. } = model;
+            linear.set_weights(weights, normal);
+            let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
+            continue_rounds(observations, (state, linear), candidates, max_samples, rounds)
         })
         .collect();
     ranked(continued).into_iter().next()
@@ -495,13 +513,31 @@ fn model_after_rounds(
     max_samples: usize,
     rounds: usize,
 ) -> SelectedModel {
+    let linear = Linearized::new(observations, &start, max_samples, &candidates.all());
+    let all_free = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
+    let rounds = Rounds { all_free, most: rounds };
+    continue_rounds(observations, (start, linear), candidates, max_samples, rounds)
+}
+
+/// Number of rounds.
+struct Rounds {
+    /// First rounds with all causes free.
+    all_free: usize,
+    most: usize,
+}
+
+/// Rounds from a state with its linearisation.
+fn continue_rounds(
+    observations: &[&PoseObservations],
+    (mut state, mut linear): (State, Linearized),
+    candidates: &CandidateCauses,
+    max_samples: usize,
+    rounds: Rounds,
+) -> SelectedModel {
     let all = candidates.all();
-    let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
-    let mut linear = Linearized::new(observations, &state, max_samples, &all);
-    let all_free_rounds = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
-    for round in 0..rounds {
-        let frees_all = round < all_free_rounds;
+    for round in 0..rounds.most {
+        let frees_all = round < rounds.all_free;
         let next = if frees_all {
             candidates.optional.clone()
         } else {
@@ -518,8 +554,8 @@ fn model_after_rounds(
         }
     }
     let chosen: Vec<Cause> = candidates.always.iter().chain(&causes).copied().collect();
-    linear.update_weights(&state, &chosen);
-    SelectedModel { state, causes, linear }
+    let search = linear.update_weights(&state, &chosen);
+    SelectedModel { state, causes, linear, search }
 }
 
 /// Whether the step is below the resolution of any estimate.

@@ -59,7 +59,7 @@ pub(crate) fn is_nominal(
     let explained = observations.linearize(&state.streams[stream], &state.offsets, stride);
     let without_change = explained.weights_after(&vec![0.0; explained.width]);
     let saved = price(calibration.samples as f64) * dropped as f64;
-    calibration.gain_over(&without_change) + saved > calibration.price
+    calibration.gain_over(&without_change) + saved > calibration.price()
 }
 
 /// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
@@ -97,7 +97,7 @@ pub(crate) fn link_deviations_beat_profile(
     let without_profile = steady.linearize(&state, offsets, stride);
     let without_profile = without_profile.weights_after(&vec![0.0; without_profile.width]);
     let price = price(calibration.samples as f64) * profile.parameters() as f64;
-    calibration.gain_over(&without_profile) + price > calibration.price
+    calibration.gain_over(&without_profile) + price > calibration.price()
 }
 
 pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
@@ -110,10 +110,11 @@ struct LinkFrameChanges {
     samples: usize,
     /// Weights after these changes.
     weights: Vec<Weight>,
-    /// Complexity penalty, as a squared deviation.
-    price: f64,
     /// Changes in the order of [`link_frames`].
     step: DVector<f64>,
+    /// Normal equations of the changes, with their priors.
+    normal: Normal,
+    usual: Vec<f64>,
 }
 
 /// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample.
@@ -124,10 +125,14 @@ pub(crate) fn calibrated_residuals(
 ) -> Vec<Vec<[f64; 3]>> {
     let fit_stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let none = vec![0.0; observations.joints.dof];
-    let calibration = LinkFrameChanges::fit(observations, stream_state, &none, fit_stride);
-    let rows = (0..observations.len()).step_by(stride.max(1));
-    link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
-        .residuals_after(calibration.step.as_slice())
+    let linearized = |stride: usize| {
+        let rows = (0..observations.len()).step_by(stride.max(1));
+        link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
+    };
+    let frames = linearized(fit_stride);
+    let calibration = LinkFrameChanges::fit_to(&frames, observations, stream_state);
+    let frames = if stride.max(1) == fit_stride { frames } else { linearized(stride) };
+    frames.residuals_after(calibration.step.as_slice())
 }
 
 impl LinkFrameChanges {
@@ -139,24 +144,36 @@ impl LinkFrameChanges {
     ) -> Self {
         let rows = (0..observations.len()).step_by(stride);
         let frames = link_frames(observations, stream_state, offsets, rows, FreeAlongside::Nothing);
+        Self::fit_to(&frames, observations, stream_state)
+    }
+
+    /// The same for the linearised `frames` of [`link_frames`].
+    fn fit_to(
+        frames: &Linear,
+        observations: &PoseObservations,
+        stream_state: &StreamState,
+    ) -> Self {
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> =
             all.iter().map(|&i| usual_change(i, observations, stream_state)).collect();
         let none = DVector::zeros(frames.width);
-        let mut weights = frames.first_weights();
-        let (mut price, mut changes) = (0.0, none.clone());
+        let (mut weights, mut step) = (frames.first_weights(), none.clone());
+        let mut normal = Normal::zeros(frames.width);
         for _ in 0..FIT_ROUNDS {
-            let mut normal = Normal::zeros(frames.width);
+            normal = Normal::zeros(frames.width);
             frames.accumulate(&weights, &all, &mut normal);
             for (i, usual) in usual.iter().enumerate() {
                 normal.matrix[(i, i)] += usual.powi(-2);
             }
-            let step = normal.step(&none, &all);
+            step = normal.step(&none, &all);
             weights = frames.weights_after(step.as_slice());
-            price = price_of(&step, &normal, &usual);
-            changes = step;
         }
-        Self { samples: frames.len(), weights, price, step: changes }
+        Self { samples: frames.len(), weights, step, normal, usual }
+    }
+
+    /// Complexity penalty, as a squared deviation.
+    fn price(&self) -> f64 {
+        price_of(&self.step, &self.normal, &self.usual)
     }
 
     /// Twice the log likelihood ratio to a fit with weights `without_change`, both with this fit's noise

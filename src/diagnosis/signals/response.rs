@@ -279,7 +279,37 @@ impl ResponseChanges {
     }
 
     fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
-        self.fit(&self.references(reference, delay_s))
+        match self.width {
+            1 => self.fit_column_at(reference, delay_s),
+            _ => self.fit(&self.references(reference, delay_s)),
+        }
+    }
+
+    /// [`Self::fit_at`] of a single column.
+    fn fit_column_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
+        let WindowEnds { t_s, of_window } =
+            self.ends.get_or_init(|| WindowEnds::new(&self.windows));
+        let mut cursor = 0;
+        let value = |t_s: &f64| reference.at(t_s - delay_s, &mut cursor).map(|values| values[0]);
+        let values: Vec<Option<f64>> = t_s.iter().map(value).collect();
+        let (mut used, mut normal, mut right, mut total) = (0, 0.0, 0.0, 0.0);
+        for (&[from, to], by) in of_window.iter().zip(&self.changes) {
+            let (Some(before), Some(after)) = (values[from], values[to]) else { continue };
+            let (reference, by) = (after - before, by[0]);
+            used += 1;
+            total += by * by;
+            normal += reference * reference;
+            right += reference * by;
+        }
+        // Columns without motion have no gain. No negative gain: it fits a periodic signal half a period late.
+        let ridge = 1e-9 * normal + f64::MIN_POSITIVE;
+        let gain = (1.0 / (normal + ridge) * right).max(0.0);
+        DelayFit {
+            gains: vec![DMatrix::from_element(1, 1, gain)],
+            residual_squares: (total - gain * right).max(0.0),
+            total_squares: total,
+            used,
+        }
     }
 
     /// 1 if the reference covers too few windows.

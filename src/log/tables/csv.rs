@@ -8,16 +8,16 @@ use std::collections::BTreeMap;
 
 use jiff::civil::{Date, Time};
 
+use super::text_rows::{self, RowFormat, TextRows};
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, text_encoding,
     vector_cells,
 };
-use crate::Extent;
 use crate::rtde;
 
 const MAX_HEADER_LINES: usize = 200;
 /// Same limit as for RTDE tables.
-const MAX_LINE_BYTES: usize = 1 << 20;
+pub(super) const MAX_LINE_BYTES: usize = 1 << 20;
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
 /// In a row of a robot log.
 const MIN_CELLS: usize = 3;
@@ -73,7 +73,7 @@ pub(super) fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
 }
 
 /// Replaces `cells` by those of the line.
-fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
+pub(super) fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
     cells.clear();
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
@@ -144,7 +144,7 @@ pub(super) fn mark_length(bytes: &[u8]) -> usize {
     if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 }
 }
 
-fn trailing_empty_cells(row: &[&[u8]]) -> usize {
+pub(super) fn trailing_empty_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
 
@@ -271,97 +271,26 @@ pub(super) fn read_rows(
     layout: TextLayout,
     context: &mut ReadContext,
 ) -> Result<Table, TableError> {
-    let losses = &mut *context.losses;
-    let TextLayout { delimiter, names, width, rows_at, line: first_line } = layout;
-    let is_time = |name: &String| clock::is_time(name);
-    let times: Vec<bool> = names.iter().flatten().map(is_time).collect();
-    let times: Vec<bool> = match names.is_some() {
-        true => times,
-        false => (0..width).map(|at| context.times.contains(&at)).collect(),
+    let TextLayout { delimiter, names, width, rows_at, line } = layout;
+    let times: Vec<usize> = match &names {
+        Some(names) => (0..width).filter(|&at| clock::is_time(&names[at])).collect(),
+        None => (0..width).filter(|at| context.times.contains(at)).collect(),
     };
-    let mut billionths: Vec<Vec<Option<i128>>> = vec![Vec::new(); width];
-    let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
-    let mut texts: Vec<Option<&[u8]>> = vec![None; width];
-    let mut text_counts = vec![0; width];
-    let mut line_numbers = Vec::new();
-    let (mut row, mut numbers): (Vec<&[u8]>, Vec<f64>) = Default::default();
-    let ends_in_line = bytes.last() == Some(&b'\n');
-    let mut malformed: Option<(u64, String)> = None;
-    for (offset, line, text) in lines(&bytes[rows_at..]) {
-        if comment(text).is_some() {
-            continue;
-        }
-        let line = first_line + line - 1;
-        match text.len() > MAX_LINE_BYTES {
-            true => row.clear(),
-            false => split_cells(text, delimiter, &mut row),
-        }
-        row.truncate(row.len() - trailing_empty_cells(&row).min(row.len().saturating_sub(width)));
-        numbers.clear();
-        numbers.extend(row.iter().map(|cell| number(cell, delimiter)));
-        let texts_in_row =
-            row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
-        let is_header = || names.as_ref().is_some_and(|names| repeats_names(&row, names));
-        if row.len() == width && 2 * texts_in_row > width && is_header() {
-            continue;
-        }
-        if row.len() != width || 2 * texts_in_row > width {
-            let is_last =
-                row.len() != width && !bytes[rows_at + offset..].contains(&b'\n') && !ends_in_line;
-            if is_last {
-                losses.add_unplaced(
-                    Extent::Tail,
-                    Some(1),
-                    format!("the file ends within line {line}"),
-                );
-            } else {
-                let what = match () {
-                    () if text.len() > MAX_LINE_BYTES => {
-                        format!("line {line} has {} bytes", text.len())
-                    }
-                    () if row.len() == width => {
-                        format!("line {line}: {texts_in_row} of {width} cells are not numbers")
-                    }
-                    () => format!("line {line}: {} columns, not {width}", row.len()),
-                };
-                malformed.get_or_insert((0, what)).0 += 1;
-            }
-            continue;
-        }
-        context.memory.reserve(width + 1)?;
-        line_numbers.push(line);
-        for at in (0..times.len()).filter(|&at| times[at]) {
-            // Two numbers, and the mark for a missing one.
-            context.memory.reserve(4)?;
-            billionths[at].push(decimal_billionths(row[at], delimiter != b','));
-        }
-        for (at, (cell, own)) in row.iter().zip(&numbers).enumerate() {
-            values[at].push(*own);
-            text_counts[at] += usize::from(is_text(cell, *own));
-            // An empty cell says less than a later text.
-            if own.is_nan() && texts[at].is_none_or(<[u8]>::is_empty) {
-                texts[at] = Some(*cell);
-            }
-        }
-    }
-    if let Some((count, first)) = malformed {
-        losses.add_unplaced(Extent::Messages, Some(count), first);
-    }
-    Ok(Table {
-        lines: line_numbers,
-        ..build_table(names, values, billionths, &texts, &text_counts)
-    })
+    let format = RowFormat { delimiter, names: names.as_deref(), width, times: &times };
+    let rows = text_rows::read(&bytes[rows_at..], line, &format, context)?;
+    let TextRows { values, billionths, texts, text_counts, lines } = rows;
+    Ok(Table { lines, ..build_table(names, values, billionths, &texts, &text_counts) })
 }
 
 /// Markers for missing numbers are not text.
-fn is_text(cell: &[u8], number: f64) -> bool {
+pub(super) fn is_text(cell: &[u8], number: f64) -> bool {
     const MISSING_MARKERS: [&[u8]; 9] =
         [b"", b"-", b"nan", b"-nan", b"-nan(ind)", b"na", b"n/a", b"null", b"none"];
     number.is_nan() && !MISSING_MARKERS.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
 }
 
 /// Whether a row repeats the header, as in concatenated files.
-fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
+pub(super) fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
         // Names include the units below them.
         let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
@@ -429,7 +358,7 @@ fn build_table(
 
 /// Converts dates with time to seconds since 1970, times of day to seconds since midnight, and other text
 /// to NaN.
-fn number(cell: &[u8], delimiter: u8) -> f64 {
+pub(super) fn number(cell: &[u8], delimiter: u8) -> f64 {
     let text = || std::str::from_utf8(unquoted(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
 }

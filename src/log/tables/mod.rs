@@ -24,6 +24,7 @@ mod settings;
 #[cfg(test)]
 pub(super) mod tests;
 mod text_encoding;
+mod text_rows;
 mod tfrecord;
 mod trajectory;
 mod vector_cells;
