@@ -341,9 +341,8 @@ fn units_in_column_names_are_compared_with_the_motion() {
         write_columns(&path, &header(joint, position), &table.rows(), 1..8 + JOINTS);
         audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report")
     };
-    // As degrees, the joints hardly move, and no pose follows them.
     let wrong = audited("deg", "m", &CLEAN);
-    assert_eq!(wrong.verdict, Verdict::Inconclusive, "{:?}", wrong.findings);
+    assert_eq!(fault_codes(&wrong), ["ORD004"], "{:?}", wrong.findings);
     let right = audited("deg", "m", &Table { joint_factor: 1_f64.to_degrees(), ..CLEAN });
     assert_eq!(fault_codes(&right), [""; 0], "{:?}", right.findings);
     let millimetres = audited("rad", "mm", &CLEAN);

@@ -479,13 +479,14 @@ mod tests {
     }
 
     #[test]
-    fn arrays_must_follow_the_arm_or_be_declared() {
+    fn arrays_must_follow_the_arm_unless_a_driver_names_them_or_they_are_declared() {
         let candidate = Role::Candidate { presumed: false };
         for (topic, width, declared, expected) in [
-            ("/ur/actual_tcp_pose", 6, false, candidate),
-            ("/ur/actual_tcp_pose", 6, true, Role::Pose),
-            ("/O_T_EE", 16, false, candidate),
-            ("/franka_state_controller/franka_states.O_T_EE", 16, false, candidate),
+            ("/recorded/values", 6, false, candidate),
+            ("/recorded/values", 6, true, Role::Pose),
+            ("/ur/actual_tcp_pose", 6, false, Role::Pose),
+            ("/O_T_EE", 16, false, Role::Pose),
+            ("/franka_state_controller/franka_states.O_T_EE", 16, false, Role::Pose),
             ("/forward_position_controller/commands", 6, false, Role::Reference),
             ("/arm/joint_torques", 6, false, Role::Ignored),
             ("/ft_sensor/wrench", 6, false, Role::Ignored),
