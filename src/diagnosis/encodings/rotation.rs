@@ -9,6 +9,7 @@ use crate::frames::rotation_frames::{
     CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
 };
 use crate::model::measurement::MAX_EXPLAINED_RAD;
+use crate::priors::ZERO_PRIOR;
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
@@ -206,10 +207,11 @@ fn max_similar(residual_rad: f64) -> f64 {
     (MAX_RESIDUAL_RATIO * residual_rad).max(residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD)
 }
 
-/// Largest residual as logged of a healthy arm with link deviations, if another encoding has
+/// Largest residual as logged of an arm with link deviations or a wrong joint zero, if another encoding has
 /// `min_residual_rad`.
 fn max_by_links(min_residual_rad: f64) -> f64 {
-    (MAX_LINK_RESIDUAL_RATIO * min_residual_rad).clamp(MAX_EXPLAINED_RAD, MAX_TIP_CHANGE_RAD)
+    let max_rad = MAX_TIP_CHANGE_RAD.max(ZERO_PRIOR);
+    (MAX_LINK_RESIDUAL_RATIO * min_residual_rad).clamp(MAX_EXPLAINED_RAD, max_rad)
 }
 
 /// Largest residual of a candidate that may be accepted if the smallest is `min_residual_rad`.
@@ -267,8 +269,11 @@ pub(crate) fn estimate_encoding_with_gravity(
         })
         .collect();
     let by_links = max_by_links(min_residual);
+    // Beside the same frame errors, another encoding must explain more than link deviations.
+    let is_usual =
+        |rank: u8, fit: &EncodingFit| rank == 0 || matches!(fit.encoding, PoseEncoding::AsLogged);
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
-        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= by_links)
+        fit.residual_rad <= accepted || (is_usual(*rank, fit) && fit.residual_rad <= by_links)
     };
     let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
