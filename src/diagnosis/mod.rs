@@ -33,7 +33,8 @@
 //! 7. `changes` finds steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
 //!    deviations. `compliance` and change points of segments compete to explain what remains. Each corrects the run and repeats steps 2 to 6. The likeliest diagnosis
 //!    wins (`selection::evidence`). A run that follows FK as logged only between gaps or jumps of the numbers starts here.
-//! 8. If some streams are FK of the joint states and the others are not explained, the joints are diagnosed by the others.
+//! 8. If some streams are FK of the recorded joint states, and another is not explained or is seen from outside and shows a
+//!    joint zero, the joints are diagnosed by the others.
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
 //! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.
@@ -145,6 +146,7 @@ use latency::coarse::{
 pub use latency::compensation::{compensate_latency, diagnose_imu_with_latency_compensation};
 pub use latency::correlation::LagPeak;
 pub use latency::delay_jitter::DelayJitter;
+pub use latency::late_joints::{LateJoints, with_earlier_joints};
 pub use latency::profile::{LatencyProfile, LatencyShape, LatencyStep};
 pub use latency::ramp::LatencyRamp;
 pub use latency::residual_by_latency::{LatencyResidual, residual_by_latency};

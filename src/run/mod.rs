@@ -289,6 +289,11 @@ impl Run {
             Some(peak) if presumed && peak >= MIN_PRESUMED_CORRELATION => {
                 (true, format!("its motion is consistent with that (speed correlation {peak:.2})"))
             }
+            // Joints in a wrong order or with wrong signs move otherwise.
+            Some(peak) if presumed && role::is_driver_topic(&resolved.topic) => (
+                true,
+                format!("as recorded, it does not follow {of} (speed correlation {peak:.2})"),
+            ),
             Some(peak) => (
                 false,
                 format!(

@@ -343,9 +343,9 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
             format!("{width} numbers per row are not a pose (6, 7, 12 or 16 are)"),
         );
     }
-    // Whatever the motion: joints in a wrong order or with wrong signs do not follow it.
     if let Some(driver) = find_driver(&topic_words) {
-        return (Role::Pose, format!("the name that {driver} use for the tool pose"));
+        let reason = format!("the name that {driver} use for the tool pose");
+        return (Role::Candidate { presumed: true }, reason);
     }
     (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
 }
@@ -378,6 +378,11 @@ fn tool_word(topic: &str) -> Option<&'static str> {
 pub(super) fn is_detection_frame(frame: &str) -> bool {
     let words = split_words(frame);
     find_word(&words, DETECTION_WORDS).or_else(|| find_word(&words, CAMERA_WORDS)).is_some()
+}
+
+/// Whether a driver publishes its tool pose under this name.
+pub(super) fn is_driver_topic(topic: &str) -> bool {
+    find_driver(&split_words(topic)).is_some()
 }
 
 pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
@@ -479,14 +484,14 @@ mod tests {
     }
 
     #[test]
-    fn arrays_must_follow_the_arm_unless_a_driver_names_them_or_they_are_declared() {
-        let candidate = Role::Candidate { presumed: false };
+    fn arrays_may_be_poses_and_are_presumed_to_be_under_a_drivers_name() {
+        let [candidate, presumed] = [false, true].map(|presumed| Role::Candidate { presumed });
         for (topic, width, declared, expected) in [
             ("/recorded/values", 6, false, candidate),
             ("/recorded/values", 6, true, Role::Pose),
-            ("/ur/actual_tcp_pose", 6, false, Role::Pose),
-            ("/O_T_EE", 16, false, Role::Pose),
-            ("/franka_state_controller/franka_states.O_T_EE", 16, false, Role::Pose),
+            ("/ur/actual_tcp_pose", 6, false, presumed),
+            ("/O_T_EE", 16, false, presumed),
+            ("/franka_state_controller/franka_states.O_T_EE", 16, false, presumed),
             ("/forward_position_controller/commands", 6, false, Role::Reference),
             ("/arm/joint_torques", 6, false, Role::Ignored),
             ("/ft_sensor/wrench", 6, false, Role::Ignored),

@@ -316,7 +316,7 @@ fn the_state_of_a_franka_arm_is_joints_and_the_pose_by_them() {
     let run = Run::assemble(recording.log(), &RunOptions::default()).unwrap();
     assert!(run.no_arm.is_none(), "{:?}", run.no_arm);
     assert_eq!(run.streams[0].role, Role::Joints);
-    assert_eq!(run.streams[1].role, Role::Pose);
+    assert_eq!(run.streams[1].role, Role::Candidate { presumed: true });
     let arm = &run.arms[0];
     let [source] = arm.poses.as_slice() else { panic!("one pose") };
     let row = source.track.t_s.len() / 2;

@@ -7,6 +7,7 @@
 use super::encoding_changes::keep_encoding;
 use super::frame_columns::{Frame, FrameColumns, RADIAL_SCALE, VariableColumns, ZEROS};
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
+use super::report::report_confounders;
 use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
 use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange, with_poses};
 use crate::arm::are_floating;
@@ -17,7 +18,7 @@ use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::robust::sandwich;
-use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis};
+use crate::{AlignedSamples, ArmDiagnosis, FrameEstimate, PoseDiagnosis};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
 use ground::stream::PoseTrack;
@@ -61,7 +62,7 @@ impl Change {
         self.step.map_or(whole, |step| (step.at_s, step.within_s))
     }
 
-    /// The whole change as a twist of its frame.
+    /// `part` times its half, as a twist of its frame. Zero unless a frame changes.
     fn twist(&self, part: f64) -> [f64; 6] {
         let mut twist = [0.0; 6];
         if let Subject::Frame { frame, .. } = self.subject {
@@ -115,7 +116,7 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// The reverse, if its subject may change so.
+    /// The change that is seen in these columns. `None` for a latency, or for a joint zero that drifts.
     fn change(&self, StepOrDrift { step, columns }: StepOrDrift) -> Option<Change> {
         let stream = self.index;
         let half = DVector::zeros(columns.len());
@@ -123,14 +124,13 @@ impl<'a> Stream<'a> {
             Some(frame) => Subject::Frame { stream, frame },
             None if columns.start == RADIAL_SCALE => Subject::RadialScale { stream },
             None => {
-                let joint = columns.start.checked_sub(ZEROS);
-                let joint = joint.filter(|_| step.is_some())?;
-                let step = later(step, -self.latency_s());
-                let subject = Subject::Zero { column: self.joints[joint] };
-                return Some(Change { subject, columns, step, half });
+                let joint = columns.start.checked_sub(ZEROS).filter(|_| step.is_some())?;
+                Subject::Zero { column: self.joints[joint] }
             }
         };
-        Some(Change { subject, columns, step, half })
+        // Joint zeros change by the joints' stamps.
+        let late_s = if subject.stream().is_none() { self.latency_s() } else { 0.0 };
+        Some(Change { subject, columns, step: later(step, -late_s), half })
     }
 
     fn linearize(&self, seen: &[StepOrDrift]) -> Linear {
@@ -157,8 +157,8 @@ impl<'a> Stream<'a> {
         Some((self.change(next)?, score))
     }
 
-    /// A pose at a stamp, corrected but for changes, without these changes of frames and radial scales. `constant` are twists
-    /// of the reference and the tool.
+    /// Removes these changes of frames and radial scales from a corrected pose. `constant` are twists of the reference and
+    /// the tool.
     fn steady_pose(
         &self,
         changes: &[(&Change, StepOrDrift)],
@@ -523,51 +523,30 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
     removal
 }
 
-/// Steps of a joint's zero in order of time, with half their sizes.
-fn zero_steps(changes: &[Change], column: usize) -> Vec<(Jump, f64)> {
+/// Spans between steps of a joint's zero, each with what makes its zero that of the longest span.
+fn zero_spans(run: &ArmRun, changes: &[Change], column: usize) -> Vec<JointPatch> {
     let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
-    let mut steps: Vec<(Jump, f64)> =
-        own.filter_map(|change| Some((change.step?, change.half[0]))).collect();
-    steps.sort_by(|a, b| a.0.at_s.total_cmp(&b.0.at_s));
-    steps
-}
-
-/// Spans between steps of a joint's zero, and how much more is its zero there than in the longest.
-fn zero_levels(run: &ArmRun, steps: &[(Jump, f64)]) -> Vec<(f64, f64, f64)> {
-    let t_s = &run.joints.t_s;
-    let ends = [t_s.first(), t_s.last()].map(|end| end.copied().unwrap_or(0.0));
-    let times = || steps.iter().map(|(step, _)| step.at_s);
-    let mut level = 0.0;
-    let levels = std::iter::once(0.0).chain(steps.iter().map(|(_, half)| 2.0 * half));
-    let starts = std::iter::once(ends[0]).chain(times());
-    let spans = starts.zip(times().chain([ends[1]])).zip(levels);
-    let spans: Vec<(f64, f64, f64)> = spans
-        .map(|((from_s, to_s), step)| {
-            level += step;
-            (from_s, to_s, level)
-        })
-        .collect();
-    let longest = spans.iter().max_by(|a, b| (a.1 - a.0).total_cmp(&(b.1 - b.0)));
-    let typical = longest.map_or(0.0, |longest| longest.2);
-    spans.into_iter().map(|(from_s, to_s, level)| (from_s, to_s, level - typical)).collect()
+    let mut steps: Vec<(f64, f64)> =
+        own.filter_map(|change| Some((change.step?.at_s, 2.0 * change.half[0]))).collect();
+    steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let starts = std::iter::once((f64::NEG_INFINITY, 0.0)).chain(steps.iter().copied());
+    let ends = steps.iter().map(|(at_s, _)| *at_s).chain([f64::INFINITY]);
+    let mut offset = 0.0;
+    let span = |((from_s, step), to_s): ((f64, f64), f64)| {
+        offset += step;
+        JointPatch { column, exchanged_with: None, from_s, to_s, factor: 1.0, offset }
+    };
+    let mut spans: Vec<JointPatch> = starts.zip(ends).map(span).collect();
+    let rows = |span: &&JointPatch| span.rows(&run.joints.t_s).len();
+    let usual = spans.iter().max_by_key(rows).map_or(0.0, |longest| longest.offset);
+    spans.iter_mut().for_each(|span| span.offset -= usual);
+    spans
 }
 
 /// Corrects joint zeros to that of the longest span.
 fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
-    let of_joint = |column: usize| {
-        let spans = zero_levels(run, &zero_steps(changes, column)).into_iter();
-        let last = spans.len().saturating_sub(1);
-        let patch = move |(index, (from_s, to_s, offset)): (usize, (f64, f64, f64))| JointPatch {
-            column,
-            exchanged_with: None,
-            from_s: if index == 0 { f64::NEG_INFINITY } else { from_s },
-            to_s: if index == last { f64::INFINITY } else { to_s },
-            factor: 1.0,
-            offset,
-        };
-        spans.enumerate().map(patch).filter(|patch| patch.offset != 0.0)
-    };
-    (0..run.joints.dof).flat_map(of_joint).collect()
+    let spans = (0..run.joints.dof).flat_map(|column| zero_spans(run, changes, column));
+    spans.filter(|span| span.offset != 0.0).collect()
 }
 
 impl Removal {
@@ -652,7 +631,7 @@ impl Removal {
         let is_reported = !after.joints.changes.is_empty()
             || after.streams.iter().any(PoseDiagnosis::has_changes);
         after.joints.patches = patches;
-        report_confounders(run, &mut after);
+        report_confounders(run.streams, &mut after);
         is_reported.then_some(after)
     }
 }
@@ -666,10 +645,9 @@ fn report_zero(
     found: &ArmDiagnosis,
 ) -> Option<ScalarChange> {
     let step = change.step?;
-    let spans = zero_levels(run, &zero_steps(all, column));
-    let level = |is_next: fn(f64, f64, f64) -> bool| {
-        let own = spans.iter().find(|(from_s, to_s, _)| is_next(*from_s, *to_s, step.at_s));
-        own.map_or(0.0, |own| own.2)
+    let spans = zero_spans(run, all, column);
+    let offset = |is_next: &dyn Fn(&&JointPatch) -> bool| {
+        spans.iter().find(is_next).map_or(0.0, |span| span.offset)
     };
     let base = found.joints.offsets.get(column).filter(|offset| offset.is_chosen);
     let base = base.and_then(|offset| offset.offset.as_ref().ok()).map_or(0.0, |it| it.value);
@@ -677,25 +655,10 @@ fn report_zero(
         at_s: step.at_s,
         within_s: step.within_s,
         is_gradual: false,
-        from: base + level(|_, to_s, at_s| to_s == at_s),
-        to: base + level(|from_s, _, at_s| from_s == at_s),
+        from: base + offset(&|span| span.to_s == step.at_s),
+        to: base + offset(&|span| span.from_s == step.at_s),
         size,
     })
-}
-
-/// For a single stream, the first joint's zero is equivalent to a base rotation, the last joint's to a tool rotation.
-fn report_confounders(run: &ArmRun, after: &mut ArmDiagnosis) {
-    let [stream] = run.streams else { return };
-    let joints = &mut after.joints;
-    for change in &joints.changes {
-        let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());
-        let is_at = |end: Option<&usize>| end == Some(&change.column);
-        let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
-        let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
-        if let Some(offset) = joints.offsets.get_mut(change.column) {
-            offset.confounders = base.into_iter().chain(tool).collect();
-        }
-    }
 }
 
 /// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the run as it is. `None` if

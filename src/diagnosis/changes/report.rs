@@ -5,7 +5,7 @@ use super::split_run::{Span, SplitRun};
 use super::{BaselineSegment, ChangePoint, FrameChange, JointChange, OtherSegment, ScalarChange};
 use crate::{
     ArmDiagnosis, Confounder, EstimateResult, FrameEstimate, LatencyProfile, LatencyStep,
-    PoseDiagnosis,
+    PoseDiagnosis, PoseStream,
 };
 use ground::geometry::Pose;
 use ground::stats::Measured;
@@ -98,20 +98,7 @@ impl BaselineSegment {
                 }
             }
         }
-        if let [stream] = run.arm.streams {
-            let joints = &mut after.joints;
-            for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
-                let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());
-                let is_at = |end: Option<&usize>| end == Some(&change.column);
-                // For a single stream, the first joint's zero is equivalent to a base rotation, the last
-                // joint's to a tool rotation.
-                let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
-                let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
-                if let Some(offset) = joints.offsets.get_mut(change.column) {
-                    offset.confounders = base.into_iter().chain(tool).collect();
-                }
-            }
-        }
+        report_confounders(run.arm.streams, after);
         for (s, jumps) in latency_jumps.into_iter().enumerate() {
             let level = |span: &Span| {
                 let latency_of = segment_at(span).and_then(|other| self.latency_increase(s, other));
@@ -124,6 +111,22 @@ impl BaselineSegment {
             if let Some(profile) = profile {
                 after.streams[s].latency_profile = Ok(profile);
             }
+        }
+    }
+}
+
+/// For a single stream, the first joint's zero is equivalent to a base rotation, the last joint's to a tool rotation.
+pub(super) fn report_confounders(streams: &[PoseStream], after: &mut ArmDiagnosis) {
+    let [stream] = streams else { return };
+    let joints = &mut after.joints;
+    for JointChange { column, zero, .. } in &joints.changes {
+        let Some(zero) = zero else { continue };
+        let by = zero.size.value.abs();
+        let is_at = |end: Option<&usize>| end == Some(column);
+        let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
+        let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
+        if let Some(offset) = joints.offsets.get_mut(*column) {
+            offset.confounders = base.into_iter().chain(tool).collect();
         }
     }
 }

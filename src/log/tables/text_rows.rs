@@ -40,6 +40,35 @@ pub(super) struct TextRows<'a> {
     pub lines: Vec<usize>,
 }
 
+impl<'a> TextRows<'a> {
+    fn empty(width: usize) -> Self {
+        Self {
+            values: vec![Vec::new(); width],
+            billionths: vec![Vec::new(); width],
+            texts: vec![None; width],
+            text_counts: vec![0; width],
+            lines: Vec::new(),
+        }
+    }
+
+    /// Appends rows whose line 0 is `first_line`.
+    fn extend(&mut self, more: &Self, first_line: usize) {
+        for (all, own) in self.values.iter_mut().zip(&more.values) {
+            all.extend_from_slice(own);
+        }
+        for (all, own) in self.billionths.iter_mut().zip(&more.billionths) {
+            all.extend_from_slice(own);
+        }
+        for (all, own) in self.texts.iter_mut().zip(&more.texts) {
+            prefer_text(all, *own);
+        }
+        for (all, own) in self.text_counts.iter_mut().zip(&more.text_counts) {
+            *all += own;
+        }
+        self.lines.extend(more.lines.iter().map(|own| first_line + own));
+    }
+}
+
 /// Reads all rows of `bytes`, whose first line is `first_line`.
 ///
 /// # Errors
@@ -51,20 +80,14 @@ pub(super) fn read<'a>(
     context: &mut ReadContext,
 ) -> Result<TextRows<'a>, TableError> {
     let width = format.width;
-    let mut all = TextRows {
-        values: vec![Vec::new(); width],
-        billionths: vec![Vec::new(); width],
-        texts: vec![None; width],
-        text_counts: vec![0; width],
-        lines: Vec::new(),
-    };
+    let mut all = TextRows::empty(width);
     let mut malformed: Option<(u64, String)> = None;
     let mut line = first_line;
     let blocks: Vec<Range<usize>> = split_at_lines(bytes).collect();
     for group in blocks.chunks(BLOCKS_PER_THREAD * rayon::current_num_threads()) {
         let group = group.par_iter().map(|block| Block::read(&bytes[block.clone()], format));
         let group: Vec<Block<'a>> = group.collect();
-        let rows = group.iter().map(|block| block.lines.len()).sum();
+        let rows = group.iter().map(|block| block.rows.lines.len()).sum();
         for _ in 0..rows {
             context.memory.reserve(width + 1)?;
             // Two numbers, and the mark for a missing one.
@@ -72,21 +95,8 @@ pub(super) fn read<'a>(
                 context.memory.reserve(4)?;
             }
         }
-        all.lines.reserve(rows);
         for block in group {
-            for (all, own) in all.values.iter_mut().zip(&block.values) {
-                all.extend_from_slice(own);
-            }
-            for (all, own) in all.billionths.iter_mut().zip(&block.billionths) {
-                all.extend_from_slice(own);
-            }
-            for (all, own) in all.texts.iter_mut().zip(&block.texts) {
-                prefer_text(all, *own);
-            }
-            for (all, own) in all.text_counts.iter_mut().zip(&block.text_counts) {
-                *all += own;
-            }
-            all.lines.extend(block.lines.iter().map(|own| line + own));
+            all.extend(&block.rows, line);
             if let Some(own) = block.cut_off {
                 let what = format!("the file ends within line {}", line + own);
                 context.losses.add_unplaced(Extent::Tail, Some(1), what);
@@ -118,11 +128,7 @@ fn split_at_lines(bytes: &[u8]) -> impl Iterator<Item = Range<usize>> {
 
 /// Rows of a block. Lines count from 0.
 struct Block<'a> {
-    values: Vec<Vec<f64>>,
-    billionths: Vec<Vec<Option<i128>>>,
-    texts: Vec<Option<&'a [u8]>>,
-    text_counts: Vec<usize>,
-    lines: Vec<usize>,
+    rows: TextRows<'a>,
     line_count: usize,
     /// Line within which the file ends.
     cut_off: Option<usize>,
@@ -133,16 +139,8 @@ struct Block<'a> {
 impl<'a> Block<'a> {
     fn read(bytes: &'a [u8], format: &RowFormat<'_>) -> Self {
         let width = format.width;
-        let mut block = Self {
-            values: vec![Vec::new(); width],
-            billionths: vec![Vec::new(); width],
-            texts: vec![None; width],
-            text_counts: vec![0; width],
-            lines: Vec::new(),
-            line_count: 0,
-            cut_off: None,
-            malformed: None,
-        };
+        let rows = TextRows::empty(width);
+        let mut block = Self { rows, line_count: 0, cut_off: None, malformed: None };
         let mut decimals = vec![Decimal::default(); width];
         let (mut row, mut numbers): (Vec<&[u8]>, Vec<f64>) = Default::default();
         let mut start = 0;
@@ -157,12 +155,12 @@ impl<'a> Block<'a> {
             if text.len() <= MAX_LINE_BYTES
                 && parse_plain_row(text, format.delimiter, &mut decimals).is_some()
             {
-                block.lines.push(line);
-                for (column, decimal) in block.values.iter_mut().zip(&decimals) {
+                block.rows.lines.push(line);
+                for (column, decimal) in block.rows.values.iter_mut().zip(&decimals) {
                     column.push(decimal.value);
                 }
                 for &at in format.times {
-                    block.billionths[at].push(decimals[at].billionths());
+                    block.rows.billionths[at].push(decimals[at].billionths());
                 }
                 continue;
             }
@@ -213,15 +211,15 @@ impl<'a> Block<'a> {
             self.malformed.get_or_insert((0, line, what)).0 += 1;
             return;
         }
-        self.lines.push(line);
+        self.rows.lines.push(line);
         for &at in times {
-            self.billionths[at].push(decimal_billionths(row[at], delimiter != b','));
+            self.rows.billionths[at].push(decimal_billionths(row[at], delimiter != b','));
         }
         for (at, (cell, own)) in row.iter().zip(numbers).enumerate() {
-            self.values[at].push(*own);
-            self.text_counts[at] += usize::from(is_text(cell, *own));
+            self.rows.values[at].push(*own);
+            self.rows.text_counts[at] += usize::from(is_text(cell, *own));
             if own.is_nan() {
-                prefer_text(&mut self.texts[at], Some(*cell));
+                prefer_text(&mut self.rows.texts[at], Some(*cell));
             }
         }
     }

@@ -1,0 +1,249 @@
+//! Latency between groups of joints of one arm, whose states come from topics of their own.
+
+use crate::PoseStream;
+use crate::model::jacobian::{Derivative, PoseJacobian};
+use ground::geometry::Pose;
+use ground::stats::Measured;
+use ground::stream::JointTrack;
+use nalgebra::{DMatrix, DVector};
+
+/// A group of joints that is late against the arm's other joints.
+#[derive(Clone, Copy, Debug)]
+pub struct LateJoints {
+    /// Index of the group.
+    pub group: usize,
+    /// Negative if they are early.
+    pub latency_s: Measured,
+}
+
+impl LateJoints {
+    /// The late group among `groups` of joint-track columns, by a pose stream whose positions times `factor` are in m and
+    /// whose latency is about `lag_s`. `None` unless one latency explains most of the positions' error.
+    pub fn find(
+        joints: &JointTrack,
+        stream: &PoseStream,
+        (factor, lag_s): (f64, f64),
+        groups: &[Vec<usize>],
+    ) -> Option<Self> {
+        /// Ratio of squared errors. Backlash depends on the direction of motion too, but explains less.
+        const MAX_REMAINING_SHARE: f64 = 0.25;
+        const MIN_STD_ERRORS: f64 = 5.0;
+        let fit = |own: &[usize]| TwoLatencies::fit(joints, stream, (factor, lag_s), own);
+        let together = fit(&[])?;
+        let fits = groups.iter().enumerate().filter_map(|(at, own)| Some((at, fit(own)?)));
+        let (group, best) = fits.min_by(|a, b| a.1.mean_square.total_cmp(&b.1.mean_square))?;
+        let late = best.between;
+        let is_clear = best.mean_square < MAX_REMAINING_SHARE * together.mean_square
+            && late.value.abs() > MIN_STD_ERRORS * late.std_error;
+        // Of two groups, the late one disagrees with the poses as well.
+        let is_other =
+            groups.len() == 2 && (best.of_others_s - late.value).abs() < best.of_others_s.abs();
+        is_clear.then_some(match is_other {
+            true => Self { group: 1 - group, latency_s: late.scaled(-1.0) },
+            false => Self { group, latency_s: late },
+        })
+    }
+}
+
+/// Joints with those in `columns` shifted to the times of the others.
+pub fn with_earlier_joints(joints: &JointTrack, columns: &[usize], late_s: f64) -> JointTrack {
+    let dof = joints.dof;
+    let mut moved = JointTrack { t_s: Vec::new(), q: Vec::new(), qd: Vec::new(), ..joints.clone() };
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; dof], vec![0.0; dof]);
+    for (row, t_s) in joints.t_s.iter().enumerate() {
+        if !joints.at(t_s + late_s, &mut cursor, &mut q, &mut qd) {
+            continue;
+        }
+        let own = row * dof..(row + 1) * dof;
+        let (mut row_q, mut row_qd) = (joints.q[own.clone()].to_vec(), joints.qd[own].to_vec());
+        for &column in columns {
+            (row_q[column], row_qd[column]) = (q[column], qd[column]);
+        }
+        moved.t_s.push(*t_s);
+        moved.q.extend(row_q);
+        moved.qd.extend(row_qd);
+    }
+    moved
+}
+
+/// Fit of a stream's positions with one latency for some joints and another for the others.
+struct TwoLatencies {
+    of_others_s: f64,
+    /// Latency of the joints relative to the others.
+    between: Measured,
+    /// Of the residuals, m².
+    mean_square: f64,
+}
+
+impl TwoLatencies {
+    /// Without `own` columns there is one latency.
+    fn fit(
+        joints: &JointTrack,
+        stream: &PoseStream,
+        (factor, lag_s): (f64, f64),
+        own: &[usize],
+    ) -> Option<Self> {
+        const GAUSS_NEWTON_STEPS: usize = 5;
+        let between = Measured { value: 0.0, std_error: 0.0, dof: 0.0 };
+        let mut found = Self { of_others_s: lag_s, between, mean_square: 0.0 };
+        for _ in 0..GAUSS_NEWTON_STEPS {
+            let shifted = with_earlier_joints(joints, own, found.between.value);
+            let step = Self::step(&shifted, stream, (factor, found.of_others_s), own)?;
+            found = Self {
+                of_others_s: found.of_others_s + step.of_others_s,
+                between: Measured {
+                    value: found.between.value + step.between.value,
+                    ..step.between
+                },
+                ..step
+            };
+        }
+        Some(found)
+    }
+
+    /// Change of both latencies by one least-squares step, in which joint zeros, the reference and the position of the tool
+    /// are free.
+    fn step(
+        joints: &JointTrack,
+        stream: &PoseStream,
+        (factor, lag_s): (f64, f64),
+        own: &[usize],
+    ) -> Option<Self> {
+        const MAX_SAMPLES: usize = 1500;
+        const MIN_SAMPLES: usize = 100;
+        /// Link deviations correlate the errors of neighbouring samples.
+        const CORRELATION_S: f64 = 0.5;
+        const MIN_SINGULAR_SHARE: f64 = 1e-9;
+        let PoseStream { track, chain, columns, .. } = *stream;
+        let count = 2 + columns.len() + 6 + 3;
+        let mut normal = DMatrix::<f64>::zeros(count, count);
+        let mut right = DVector::<f64>::zeros(count);
+        let (mut squares, mut times) = (0.0, Vec::new());
+        let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut link = vec![[0.0; 6]; columns.len()];
+        let identity = Pose::identity();
+        for at in (0..track.t_s.len()).step_by(track.t_s.len().div_ceil(MAX_SAMPLES).max(1)) {
+            if !joints.at(track.t_s[at] - lag_s, &mut cursor, &mut q, &mut qd) {
+                continue;
+            }
+            let of_chain =
+                |all: &[f64]| -> Vec<f64> { columns.iter().map(|&column| all[column]).collect() };
+            let rates = of_chain(&qd);
+            let is_own = columns.iter().map(|column| own.contains(column));
+            let own_rates: Vec<f64> =
+                rates.iter().zip(is_own).map(|(rate, own)| if own { *rate } else { 0.0 }).collect();
+            let base_from_tip = chain.forward_with_jacobian(&of_chain(&q), &mut link);
+            let residual = track.xyz[at] * factor - base_from_tip.translation.vector;
+            let jacobian = PoseJacobian::new(&link, &identity, &base_from_tip, &identity);
+            let latencies =
+                [jacobian.velocity(&rates).map(|part| -part), jacobian.velocity(&own_rates)];
+            let zeros = (0..columns.len()).map(|joint| jacobian.joint(joint));
+            let frames = (0..6).map(|axis| jacobian.reference(axis));
+            let tool = (0..3).map(|axis| jacobian.tool(axis));
+            let all: Vec<Derivative> =
+                latencies.into_iter().chain(zeros).chain(frames).chain(tool).collect();
+            for axis in 0..3 {
+                let row = DVector::from_fn(count, |column, _| all[column][0][axis]);
+                normal.ger(1.0, &row, &row, 1.0);
+                right.axpy(residual[axis], &row, 1.0);
+            }
+            squares += residual.norm_squared();
+            times.push(track.t_s[at]);
+        }
+        let span_s = times.last()? - times.first()?;
+        let samples = times.len() as f64;
+        if times.len() < MIN_SAMPLES {
+            return None;
+        }
+        let decomposed = normal.svd(true, true);
+        let least = MIN_SINGULAR_SHARE * decomposed.singular_values.max();
+        let solution = decomposed.solve(&right, least).ok()?;
+        let inverse = decomposed.pseudo_inverse(least).ok()?;
+        let mean_square = (squares - solution.dot(&right)).max(0.0) / (3.0 * samples);
+        let independent = (span_s / CORRELATION_S).clamp(1.0, samples);
+        let variance = mean_square * samples / independent * inverse[(1, 1)];
+        let std_error = variance.max(0.0).sqrt();
+        Some(Self {
+            of_others_s: solution[0],
+            between: Measured { value: solution[1], std_error, dof: independent },
+            mean_square,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::Vec3;
+    use ground::robot::catalogue;
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// A UR5e. Its last three joints are late by `late_s`, and its poses by 4 ms, in a displaced frame.
+    #[test]
+    fn late_joints_are_measured_beside_frames_and_zeros() {
+        let robot = catalogue::find("ur5e").expect("in the catalogue");
+        let link = |name: &str| robot.link(name).expect("a link");
+        let base = link(robot.controller_base.as_deref().expect("a base"));
+        let chain = robot.chain(base, link(robot.default_tip.as_deref().expect("a tip")));
+        let chain = chain.expect("a chain");
+        let angle = |joint: usize, t_s: f64| {
+            [-0.4, -1.3, 1.4, -1.2, -1.0, 0.3][joint]
+                + 0.5 * ((0.7 + 0.3 * joint as f64) * t_s).sin()
+        };
+        let rate = |joint: usize, t_s: f64| {
+            let turn = 0.7 + 0.3 * joint as f64;
+            0.5 * turn * (turn * t_s).cos()
+        };
+        let all = |of: &dyn Fn(usize, f64) -> f64, t_s: f64, late_s: f64| -> Vec<f64> {
+            (0..6).map(|joint| of(joint, if joint < 3 { t_s } else { t_s - late_s })).collect()
+        };
+        let t_s: Vec<f64> = (0..2500).map(|row| 0.01 * f64::from(row)).collect();
+        for late_s in [0.0, 0.02] {
+            let rows = |of: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
+                t_s.iter().flat_map(|t_s| all(of, *t_s, late_s)).collect()
+            };
+            let mut q = rows(&angle);
+            // A zero that is off.
+            q.iter_mut().skip(1).step_by(6).for_each(|q| *q += 0.01);
+            let joints =
+                JointTrack { t_s: t_s.clone(), dof: 6, q, qd: rows(&rate), noise: Vec::new() };
+            let position = |t_s: &f64| {
+                let pose = chain.forward(&all(&angle, t_s - 0.004, 0.0));
+                pose.translation.vector + Vec3::new(0.03, -0.02, 0.01)
+            };
+            let track = PoseTrack {
+                t_s: t_s.clone(),
+                xyz: t_s.iter().map(position).collect(),
+                orientation: Orientations::Unset(t_s.len()),
+                declared: None,
+            };
+            let stream = PoseStream {
+                track: &track,
+                chain: &chain,
+                columns: &[0, 1, 2, 3, 4, 5],
+                reference_known: true,
+                stamp_error_s: 0.0,
+                stamps_copied: false,
+                removed_ramp: None,
+            };
+            let fit = |own: &[usize]| TwoLatencies::fit(&joints, &stream, (1.0, 0.0), own);
+            let (two, one) = (fit(&[3, 4, 5]).expect("a fit"), fit(&[]).expect("a fit"));
+            assert!((two.between.value - late_s).abs() < 2e-4, "{:?}", two.between);
+            assert!((two.of_others_s - 0.004).abs() < 2e-4, "{}", two.of_others_s);
+            assert_eq!(two.mean_square < 0.1 * one.mean_square, late_s > 0.0);
+        }
+    }
+
+    #[test]
+    fn shifted_joints_are_read_later() {
+        let t_s: Vec<f64> = (0..100).map(|k| 0.01 * f64::from(k)).collect();
+        let q = t_s.iter().flat_map(|t_s| [*t_s, 2.0 * t_s]).collect();
+        let track = JointTrack { dof: 2, qd: [1.0, 2.0].repeat(100), q, t_s, noise: Vec::new() };
+        let moved = with_earlier_joints(&track, &[1], 0.025);
+        assert_eq!(moved.len(), 97);
+        for (row, t_s) in moved.t_s.iter().enumerate() {
+            assert!((moved.q[2 * row] - t_s).abs() < 1e-12);
+            assert!((moved.q[2 * row + 1] - 2.0 * (t_s + 0.025)).abs() < 1e-12);
+        }
+    }
+}
