@@ -135,8 +135,9 @@ pub(super) struct ExceedingResidual {
     pub parts: Vec<PartError>,
 }
 
-/// Limit for a nominal model, rms m.
+/// Limits for a nominal model, rms: 0.3 mm and 0.03°.
 const MIN_NOMINAL_RESIDUAL_M: f64 = 0.3e-3;
+const MIN_NOMINAL_RESIDUAL_RAD: f64 = 0.5e-3;
 
 /// `None` if the stream has no error estimate.
 pub(super) fn attribute_residual(
@@ -163,7 +164,8 @@ pub(super) fn attribute_residual(
         return Some(Attribution::WithinNoise);
     }
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| diagnosis.is_nominal)
-        && explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
+        && (explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
+            || explained.angle.as_ref().is_some_and(|it| it.whole.rms > MIN_NOMINAL_RESIDUAL_RAD))
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
     {
         return Some(Attribution::NominalModel(explained.clone()));

@@ -4,13 +4,13 @@ use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
 use super::joint_topics::{JointTopicLatency, with_corrected_topic};
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
-    LatencyProfile, NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak,
-    compensate_latency, diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_run,
-    fault_count, position_misfit_m,
+    LatencyProfile, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream, StreamResidual,
+    best_lag_peak, compensate_latency, diagnose_derived, diagnose_imu_with_latency_compensation,
+    diagnose_run, fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
-use crate::stream::JointTrack;
+use crate::stream::{JointTrack, Orientations};
 
 /// DH table of a robot.
 #[derive(Clone, Debug)]
@@ -45,6 +45,13 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
             Some((arm, other)) => {
                 run.exchange_reference(index, arm);
                 other
+            }
+            None => found,
+        };
+        let found = match with_documented_conventions(run, &run.arms[index], &found, max_lag_s) {
+            Some((arm, documented)) => {
+                run.replace_arm(index, arm);
+                documented
             }
             None => found,
         };
@@ -106,6 +113,39 @@ fn with_other_reference(
             || ((is_usual() || is_simpler()) && other.is_as_good_as(&found.arm))
     });
     better.next()
+}
+
+/// Diagnosis with rotation numbers in the convention that their driver documents, if the motion does not determine it, or
+/// another one explains the poses far worse. Wrong joint states can hide it.
+fn with_documented_conventions(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmStreamsDiagnosis,
+    max_lag_s: f64,
+) -> Option<(Arm, ArmStreamsDiagnosis)> {
+    let mut arm = arm.clone();
+    let mut undetermined: Vec<bool> = Vec::new();
+    for (source, found) in arm.poses.iter_mut().zip(&found.arm.streams) {
+        let documented = run.streams[source.stream].documented_convention();
+        let (Orientations::Numbers(numbers), Some(convention)) =
+            (&source.track.orientation, documented)
+        else {
+            continue;
+        };
+        let read = found.encoding.as_ref().map(|encoding| encoding.best);
+        if !matches!(read, Ok(PoseEncoding::Numbers(read)) if read == convention) {
+            let rotations = numbers.iter().map(|numbers| convention.rotation(*numbers)).collect();
+            source.track.orientation = Orientations::Rotations(rotations);
+            undetermined.push(read.is_err());
+        }
+    }
+    if undetermined.is_empty() {
+        return None;
+    }
+    let documented = diagnose_one(run, &arm, max_lag_s);
+    let is_better = documented.arm.is_far_better_than(&found.arm)
+        || (undetermined.contains(&true) && documented.arm.is_as_good_as(&found.arm));
+    is_better.then_some((arm, documented))
 }
 
 /// Diagnosis with corrected stamps of one topic of joint states, if it then fits as well.

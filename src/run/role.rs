@@ -1,5 +1,6 @@
 //! Determines a topic's role from name, type and frames.
 
+use crate::geometry::Convention;
 use crate::stream::Columns;
 
 use super::streams::Stream;
@@ -151,6 +152,11 @@ const DRIVER_TOPICS: &[(&[&str], &str)] = &[
     (&["eef", "pose"], "arm drivers"),
     (&["end", "effector", "pose"], "arm drivers"),
 ];
+
+/// Consecutive topic words of tool poses whose three rotation numbers have a documented convention: Universal Robots,
+/// RTDE and client interfaces.
+const DOCUMENTED_CONVENTIONS: &[(&[&str], Convention)] =
+    &[(&["actual", "tcp", "pose"], Convention::RotVec), (&["tool", "vector"], Convention::RotVec)];
 
 /// Relation of a stream's frame to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -386,9 +392,17 @@ pub(super) fn is_driver_topic(topic: &str) -> bool {
 }
 
 pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
-    let has =
-        |sequence: &[&str]| topic_words.windows(sequence.len()).any(|window| window == sequence);
-    DRIVER_TOPICS.iter().find(|(sequence, _)| has(sequence)).map(|(_, driver)| *driver)
+    find_sequence(topic_words, DRIVER_TOPICS)
+}
+
+/// Convention that the driver of this topic documents for three rotation numbers.
+pub(super) fn documented_convention(topic: &str) -> Option<Convention> {
+    find_sequence(&split_words(topic), DOCUMENTED_CONVENTIONS)
+}
+
+fn find_sequence<Of: Copy>(words: &[String], known: &[(&[&str], Of)]) -> Option<Of> {
+    let has = |sequence: &[&str]| words.windows(sequence.len()).any(|window| window == sequence);
+    known.iter().find(|(sequence, _)| has(sequence)).map(|(_, of)| *of)
 }
 
 pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'static str> {

@@ -2,12 +2,13 @@
 
 use std::collections::{HashMap, HashSet};
 
+use crate::geometry::Convention;
 use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, ClockSource, StreamClock};
-use super::role::{Role, role_by_content, role_by_name, split_words};
+use super::role::{Role, documented_convention, role_by_content, role_by_name, split_words};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
@@ -93,6 +94,11 @@ impl Stream {
     /// Whether its numbers lack unit and convention.
     pub fn lacks_encoding(&self) -> bool {
         matches!(self.columns, Some(Columns::Array(_))) || self.lacks_rotation()
+    }
+
+    /// Convention that its driver documents for three rotation numbers.
+    pub fn documented_convention(&self) -> Option<Convention> {
+        documented_convention(&self.topic)
     }
 
     fn mark_empty(&mut self) {

@@ -5,7 +5,6 @@
 //! effect is removed from joint states and poses, and the run is diagnosed again.
 
 use super::encoding_changes::keep_encoding;
-use super::frame_columns::{Frame, FrameColumns, RADIAL_SCALE, VariableColumns, ZEROS};
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
 use super::report::report_confounders;
 use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
@@ -15,7 +14,9 @@ use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
-use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
+use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
+use crate::residuals::comparison::{has_slow_residual, restore_recorded};
+use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, FrameEstimate, PoseDiagnosis};
@@ -57,7 +58,7 @@ struct Change {
 
 impl Change {
     /// Time and half-width of its interval.
-    fn time(&self, columns: &FrameColumns) -> (f64, f64) {
+    fn time(&self, columns: &CauseColumns) -> (f64, f64) {
         let whole = (columns.aligned.middle_s(), columns.half_span_s());
         self.step.map_or(whole, |step| (step.at_s, step.within_s))
     }
@@ -79,7 +80,7 @@ fn later(step: Option<Jump>, by_s: f64) -> Option<Jump> {
 
 /// A stream that follows FK, and what changes it.
 struct Stream<'a> {
-    columns: FrameColumns<'a>,
+    columns: CauseColumns<'a>,
     found: &'a PoseDiagnosis,
     index: usize,
     /// Joint-track columns of the chain's joints.
@@ -92,7 +93,7 @@ impl<'a> Stream<'a> {
             let follows = found.residual.is_ok() && !found.is_far_from_fk();
             let stream = run.streams[index];
             let columns =
-                follows.then(|| FrameColumns::new(found, stream.chain).with_free_zeros())?;
+                follows.then(|| CauseColumns::new(found, stream.chain).with_free_zeros())?;
             Some(Self { columns, found, index, joints: stream.columns })
         };
         diagnosis.streams.iter().enumerate().filter_map(stream).collect()
@@ -134,14 +135,14 @@ impl<'a> Stream<'a> {
     }
 
     fn linearize(&self, seen: &[StepOrDrift]) -> Linear {
-        let factors: Vec<_> =
-            seen.iter().map(|it| |t_s: f64| it.factor(&self.columns, t_s)).collect();
-        let variable: Vec<VariableColumns> = seen
+        let factors = |it: &StepOrDrift| {
+            let times = self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
+            times.map(|t_s| it.factor(&self.columns, t_s)).collect()
+        };
+        let variable = seen
             .iter()
-            .zip(&factors)
-            .map(|(it, factor)| VariableColumns { columns: it.columns.clone(), factor })
-            .collect();
-        self.columns.linearize(&variable)
+            .map(|it| VariableColumns { columns: it.columns.clone(), factors: factors(it) });
+        self.columns.linearize(&variable.collect::<Vec<_>>())
     }
 
     /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
@@ -484,7 +485,18 @@ struct Removal {
     after: ArmDiagnosis,
 }
 
-/// `None` if the residual does not fall.
+/// Residual that constant causes and link deviations do not explain, rms m. Angles are weighted by 0.3 m.
+fn unexplained_m(streams: &[Stream]) -> f64 {
+    const LEVER_M: f64 = 0.3;
+    let of_stream = |stream: &Stream| {
+        let (linear, fit) = stream.columns.constant_fit();
+        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
+        m.hypot(LEVER_M * rad)
+    };
+    streams.iter().map(of_stream).sum()
+}
+
+/// `None` if the unexplained residual does not fall.
 fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Option<Removal> {
     /// The later ones remove what constant causes had absorbed.
     const MAX_ROUNDS: usize = 3;
@@ -495,7 +507,8 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
     let mut more = changes.clone();
     for _ in 0..MAX_ROUNDS {
         let current = removal.as_ref().map_or(before, |removal| &removal.after);
-        for stream in Stream::all(run, current) {
+        let changing = Stream::all(run, current);
+        for stream in &changing {
             if more.iter().any(|change| change.subject.stream() == Some(stream.index)) {
                 tracks[stream.index] = Some(stream.steady_track(&more));
             }
@@ -505,11 +518,12 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
         patches.iter().for_each(|patch| patch.apply(&mut joints));
         let streams = with_tracks(run.streams, &tracks);
         let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose();
-        if residual_m(&after) >= residual_m(current) {
+        let steady = Stream::all(run, &after);
+        if steady.len() < changing.len() || unexplained_m(&steady) >= unexplained_m(&changing) {
             break;
         }
         more.iter_mut().for_each(|change| change.half.fill(0.0));
-        let halves = Fit::new(&Stream::all(run, &after), &more).halves;
+        let halves = Fit::new(&steady, &more).halves;
         more.iter_mut().zip(halves).for_each(|(change, half)| change.half = half);
         removal = Some(Removal { changes: changes.clone(), patches, after });
         let norm = |changes: &[Change]| -> f64 {
@@ -558,7 +572,7 @@ impl Removal {
         let streams = Stream::all(run, &found);
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
-            let columns = FrameColumns::new(stream.found, stream.columns.chain);
+            let columns = CauseColumns::new(stream.found, stream.columns.chain);
             !seen || !has_slow_residual(stream.found) || !columns.has_unexplained_residual()
         };
         if !are_floating(run.streams) && !streams.iter().all(is_explained) {

@@ -11,7 +11,6 @@ mod cause_changes;
 mod change_points;
 mod constant_frames;
 mod encoding_changes;
-mod frame_columns;
 mod jumps;
 mod report;
 mod split_run;
@@ -22,6 +21,7 @@ use crate::arm_run::ArmRun;
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
 use crate::latency::correlation::stream_lag_s;
+use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::{
     MIN_SEGMENT_SAMPLES, has_latency_steps, has_slow_residual, residual_m, restore_recorded,
 };
@@ -42,14 +42,13 @@ pub use change_points::{
 };
 pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
-use frame_columns::FrameColumns;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use split_run::{Span, SplitRun, set_velocity};
 use step_test::has_unusual_zero;
 
 /// Whether usual link deviations and constant frames explain the residual of a stream.
 pub(super) fn is_explained_by_links(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
-    let columns = FrameColumns::new(diagnosis, stream.chain);
+    let columns = CauseColumns::new(diagnosis, stream.chain);
     let is_far = diagnosis.residual.is_err() || diagnosis.is_far_from_fk();
     !is_far && !columns.has_unexplained_residual() && !has_unusual_zero(&columns)
 }

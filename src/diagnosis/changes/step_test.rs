@@ -5,17 +5,17 @@
 //! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
 //! for its time.
 
-use super::frame_columns::{Frame, FrameColumns, LATENCY, ZEROS};
 use super::jumps::Jump;
 use crate::priors::price;
+use crate::residuals::cause_columns::{CauseColumns, Frame, LATENCY, ZEROS};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
-use crate::solver::linear::{Linear, Weight};
+use crate::solver::linear::{Linear, Weight, ridged};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, the radial
 /// scale, and a joint zero. The reference turns about the middle of the motion, so a rotation alone is no cause.
-fn causes(columns: &FrameColumns) -> Vec<Range<usize>> {
+fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
     let (reference, tool) = (Frame::Reference, Frame::Tool);
     let frames = [
         reference.translation(),
@@ -38,7 +38,7 @@ pub(super) struct StepOrDrift {
 
 impl StepOrDrift {
     /// From −1 before the step, or at the start of the run, to 1.
-    pub fn factor(&self, columns: &FrameColumns, t_s: f64) -> f64 {
+    pub fn factor(&self, columns: &CauseColumns, t_s: f64) -> f64 {
         match self.step {
             Some(step) if t_s < step.at_s => -1.0,
             Some(_) => 1.0,
@@ -71,7 +71,7 @@ impl ChangeKind {
 type Scored = (StepOrDrift, f64);
 
 struct ScoreTest<'a> {
-    columns: &'a FrameColumns<'a>,
+    columns: &'a CauseColumns<'a>,
     causes: Vec<Range<usize>>,
     linear: &'a Linear,
     weights: &'a [Weight],
@@ -94,7 +94,7 @@ struct Sums {
 type Candidate = (usize, usize, f64, f64);
 
 impl<'a> ScoreTest<'a> {
-    fn new(columns: &'a FrameColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
+    fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
         let normal = columns.normal_equations(linear, weights);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();
         let constant = &inverse * normal.right;
@@ -103,7 +103,7 @@ impl<'a> ScoreTest<'a> {
     }
 
     fn empty(&self) -> Sums {
-        let variable = self.columns.variable();
+        let variable = self.columns.variable() + 1;
         Sums {
             constant: DMatrix::zeros(variable, self.linear.width),
             square: DMatrix::zeros(variable, variable),
@@ -184,17 +184,8 @@ impl<'a> ScoreTest<'a> {
     }
 }
 
-/// Unobservable directions count little.
-fn ridged(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
-    const RIDGE: f64 = 1e-9;
-    for i in 0..matrix.nrows() {
-        matrix[(i, i)] += RIDGE * matrix[(i, i)].abs() + f64::MIN_POSITIVE;
-    }
-    matrix
-}
-
 /// Whether a constant joint zero is likelier than the link deviations that imitate it.
-pub(super) fn has_unusual_zero(columns: &FrameColumns) -> bool {
+pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let (linear, fit) = columns.constant_fit();
     let weights = linear.weights_after(fit.as_slice());
     let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
@@ -207,7 +198,7 @@ pub(super) fn has_unusual_zero(columns: &FrameColumns) -> bool {
 /// The likeliest step or drift of the stream, in addition to those found and in the linearisation, if the likelihood justifies
 /// one.
 pub(super) fn likeliest_change(
-    columns: &FrameColumns,
+    columns: &CauseColumns,
     found: &[StepOrDrift],
     (linear, weights): (&Linear, &[Weight]),
     kind: ChangeKind,
@@ -291,7 +282,7 @@ mod tests {
         let track = PoseTrack { t_s, xyz, orientation, declared: None };
         let stream = test_motion::tip_stream(&track, &chain);
         let diagnosis = diagnose_arm(&joints, &[stream], 1.0);
-        let columns = FrameColumns::new(&diagnosis.streams[0], &chain);
+        let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
         likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::Any)?.0.step

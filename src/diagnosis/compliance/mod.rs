@@ -16,43 +16,41 @@ use crate::arm_run::ArmRun;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
 use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
+use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::{has_large_residual, restore_recorded};
 use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use ground::stream::JointTrack;
 
 use gravity::MassModel;
 use search::{ComplianceSearch, MASS_STD_ERROR};
 use shapes::USUAL_COMPLIANCE_RAD;
 pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub(super) use shapes::{apply_compliance, motion_directions};
-use term::{ComplianceKind, ComplianceTerm, FreeParameters};
+use term::{ComplianceKind, ComplianceTerm};
 
-/// Per stream.
-const MAX_SAMPLES: usize = 2000;
 const CONVERGED_RAD: f64 = 2e-5;
 /// Tested against sag.
 const MIN_ZERO_RAD: f64 = 1e-3;
 const MAX_ROUNDS: usize = 3;
 
-/// Residuals under a diagnosis, in the base frame at the tip.
-#[derive(Default)]
-struct ResidualSamples {
+/// Residual of a stream under a diagnosis, and the reported joint states at its samples.
+struct StreamSamples<'a> {
+    columns: CauseColumns<'a>,
+    /// Joint-track columns of the chain's joints.
+    joints: &'a [usize],
     /// Reported, all joints of the track.
     q: Vec<Vec<f64>>,
-    /// Velocities of all joints.
-    qd: Vec<Vec<f64>>,
     /// Row of the joint track before the sample, and fraction to the next.
     at: Vec<(usize, f64)>,
-    /// Per joint of the track.
-    jacobian: Vec<Vec<[f64; 6]>>,
-    fk: Vec<Pose>,
-    /// Position, m, and rotation, rad.
-    residual: Vec<[[f64; 3]; 2]>,
-    has_rotation: bool,
+}
+
+impl StreamSamples<'_> {
+    /// Joint of the chain with this column of the track.
+    fn joint(&self, column: usize) -> Option<usize> {
+        self.joints.iter().position(|own| *own == column).filter(|_| !self.q.is_empty())
+    }
 }
 
 /// `diagnosis` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
@@ -128,7 +126,7 @@ fn are_converged(terms: &[ComplianceTerm], before: &[ComplianceTerm]) -> bool {
 impl ArmRun<'_> {
     fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let is_explained = |after: &ArmDiagnosis| !after.streams.iter().any(has_large_residual);
-        let samples = self.samples(self.joints, diagnosis);
+        let samples = self.samples(diagnosis);
         let (search, sets) = self.search(&samples)?;
         let mut found = Vec::new();
         for terms in sets {
@@ -179,7 +177,7 @@ impl ArmRun<'_> {
         if !is_as_logged || zeros.is_empty() {
             return None;
         }
-        let samples = self.samples(self.joints, diagnosis);
+        let samples = self.samples(diagnosis);
         let search = ComplianceSearch::new(self, &samples, MassModel::CANDIDATES[0])?;
         let mut with_confounders: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
@@ -207,7 +205,7 @@ impl ArmRun<'_> {
     /// Sets that explain most with few joints, with the mass distribution that fits best.
     fn search<'a>(
         &'a self,
-        samples: &'a [ResidualSamples],
+        samples: &'a [StreamSamples<'a>],
     ) -> Option<(ComplianceSearch<'a>, Vec<Vec<ComplianceTerm>>)> {
         let search = ComplianceSearch::new(self, samples, MassModel::CANDIDATES[0])?;
         let sets = search.terms();
@@ -229,9 +227,8 @@ impl ArmRun<'_> {
         search: &ComplianceSearch,
         mut terms: Vec<ComplianceTerm>,
     ) -> Option<ArmDiagnosis> {
-        let free = FreeParameters::all(self);
         for _ in 0..MAX_ROUNDS {
-            search.refine(&mut terms, &free, false);
+            search.refine(&mut terms, false);
         }
         self.diagnose_converged(search, terms)
     }
@@ -244,14 +241,9 @@ impl ArmRun<'_> {
     ) -> Option<ArmDiagnosis> {
         let mut after = self.corrected(&search.to_compliance(&terms))?;
         for _ in 0..MAX_ROUNDS {
-            // Causes that the corrected model dropped are not free.
             let before = terms.clone();
-            let samples = self.samples(&after.0, &after.1);
-            search.on_samples(&samples).refine(
-                &mut terms,
-                &FreeParameters::from_selected(self, &after.1),
-                true,
-            );
+            let samples = self.samples(&after);
+            search.on_samples(&samples).refine(&mut terms, true);
             if are_converged(&terms, &before) {
                 break;
             }
@@ -261,25 +253,23 @@ impl ArmRun<'_> {
         let is_large = compliances
             .iter()
             .any(|compliance| compliance.value.value.abs() > USUAL_COMPLIANCE_RAD);
-        after.1.joints.compliance = compliances;
-        is_large.then_some(after.1)
+        after.joints.compliance = compliances;
+        is_large.then_some(after)
     }
 
     /// `None` if `compliances` is empty.
-    fn corrected(&self, compliances: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
+    fn corrected(&self, compliances: &[JointCompliance]) -> Option<ArmDiagnosis> {
         if compliances.is_empty() {
             return None;
         }
         let mut joints = self.joints.clone();
         apply_compliance(&mut joints, compliances);
-        let diagnosis = ArmRun { joints: &joints, ..*self }.diagnose_as_logged();
-        Some((joints, diagnosis))
+        Some(ArmRun { joints: &joints, ..*self }.diagnose_as_logged())
     }
 
-    fn samples(&self, joints: &JointTrack, diagnosis: &ArmDiagnosis) -> Vec<ResidualSamples> {
-        let corrected = diagnosis.joints.corrected_joints(joints, self.is_prismatic);
+    fn samples<'b>(&'b self, diagnosis: &'b ArmDiagnosis) -> Vec<StreamSamples<'b>> {
         let both = self.streams.iter().zip(&diagnosis.streams);
-        both.map(|(stream, diagnosis)| self.stream_samples(&corrected, stream, diagnosis)).collect()
+        both.map(|(stream, diagnosis)| self.stream_samples(stream, diagnosis)).collect()
     }
 
     /// Time of measurement of a stamp, s.
@@ -316,51 +306,27 @@ impl ArmRun<'_> {
         }
     }
 
-    fn stream_samples(
+    fn stream_samples<'b>(
         &self,
-        corrected: &JointTrack,
-        stream: &PoseStream,
-        diagnosis: &PoseDiagnosis,
-    ) -> ResidualSamples {
+        stream: &PoseStream<'b>,
+        diagnosis: &'b PoseDiagnosis,
+    ) -> StreamSamples<'b> {
         let truth_s = self.truth_s(stream, diagnosis);
-        let AlignedSamples { t_s, corrected: poses, fk_at_truth, .. } = &diagnosis.aligned;
+        let columns = CauseColumns::new(diagnosis, stream.chain).with_free_zeros();
         let dof = self.joints.dof;
-        let mut samples = ResidualSamples {
-            has_rotation: diagnosis.encoding.is_ok(),
-            ..ResidualSamples::default()
-        };
-        let (mut cursor, mut cursor_corrected) = (0, 0);
-        let mut chain_q = vec![0.0; stream.columns.len()];
-        let mut own = vec![[0.0; 6]; stream.columns.len()];
-        for k in (0..t_s.len()).step_by(t_s.len().div_ceil(MAX_SAMPLES).max(1)) {
-            let at_s = truth_s(t_s[k]);
-            let (mut q, mut qd) = (vec![0.0; dof], vec![0.0; dof]);
-            let (mut true_q, mut true_qd) = (vec![0.0; dof], vec![0.0; dof]);
-            let is_covered = self.joints.at(at_s, &mut cursor, &mut q, &mut qd)
-                && corrected.at(at_s, &mut cursor_corrected, &mut true_q, &mut true_qd);
-            if !is_covered {
-                continue;
-            }
+        let (mut all, mut at, mut cursor) = (Vec::new(), Vec::new(), 0);
+        let (mut q, mut qd) = (vec![0.0; dof], vec![0.0; dof]);
+        for row in columns.samples() {
+            let at_s = truth_s(diagnosis.aligned.t_s[row]);
+            // Beyond the joint states, the last positions stay.
+            self.joints.at(at_s, &mut cursor, &mut q, &mut qd);
             let row = self.joints.t_s.partition_point(|t_s| *t_s <= at_s).saturating_sub(1);
             let next = (row + 1).min(self.joints.len() - 1);
             let period_s = (self.joints.t_s[next] - self.joints.t_s[row]).max(f64::MIN_POSITIVE);
             let part = ((at_s - self.joints.t_s[row]) / period_s).clamp(0.0, 1.0);
-            chain_q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = true_q[column]);
-            stream.chain.forward_with_jacobian(&chain_q, &mut own);
-            let mut jacobian = vec![[0.0; 6]; dof];
-            own.iter().zip(stream.columns).for_each(|(own, &column)| jacobian[column] = *own);
-            let (is, fk) = (&poses[k], &fk_at_truth[k]);
-            let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-            let turn = if samples.has_rotation { turn } else { Vec3::zeros() };
-            samples
-                .residual
-                .push([(is.translation.vector - fk.translation.vector).into(), turn.into()]);
-            samples.fk.push(*fk);
-            samples.q.push(q);
-            samples.qd.push(true_qd);
-            samples.at.push((row, part));
-            samples.jacobian.push(jacobian);
+            all.push(q.clone());
+            at.push((row, part));
         }
-        samples
+        StreamSamples { columns, joints: stream.columns, q: all, at }
     }
 }

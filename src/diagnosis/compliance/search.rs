@@ -1,16 +1,15 @@
-//! Selects the joints with compliance by linear least squares on the residual of one diagnosis, with all
-//! causes of its model free.
+//! Selects the joints with compliance by linear least squares on the residual of one diagnosis, with constant causes free.
 
-use super::ResidualSamples;
+use super::StreamSamples;
 use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
 use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
-use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
-use super::term::{ComplianceKind, ComplianceTerm, FreeParameters, MAX_COMPLIANCE_RAD};
+use super::system::{Coefficient, ComplianceSystem};
+use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::ChangePoint;
 use crate::arm_run::ArmRun;
 use crate::priors::price;
-use crate::solver::linear::{Linear, Normal};
 use ground::stats::Measured;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// During the search. The profile depends weakly on it.
@@ -32,7 +31,7 @@ const GRID_REFINEMENT: i32 = 4;
 
 pub(super) struct ComplianceSearch<'a> {
     run: &'a ArmRun<'a>,
-    samples: &'a [ResidualSamples],
+    samples: &'a [StreamSamples<'a>],
     gravity: Arc<GravityTorques>,
     /// Per joint over the run.
     max_torque: Vec<f64>,
@@ -41,7 +40,11 @@ pub(super) struct ComplianceSearch<'a> {
 }
 
 impl<'a> ComplianceSearch<'a> {
-    pub fn new(run: &'a ArmRun, samples: &'a [ResidualSamples], masses: MassModel) -> Option<Self> {
+    pub fn new(
+        run: &'a ArmRun,
+        samples: &'a [StreamSamples<'a>],
+        masses: MassModel,
+    ) -> Option<Self> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
         let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
         let torques = torques(&gravity, samples, run.joints.dof);
@@ -53,7 +56,7 @@ impl<'a> ComplianceSearch<'a> {
     }
 
     /// Same search on other samples.
-    pub fn on_samples<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
+    pub fn on_samples<'b>(&self, samples: &'b [StreamSamples<'b>]) -> ComplianceSearch<'b>
     where
         'a: 'b,
     {
@@ -130,7 +133,7 @@ impl<'a> ComplianceSearch<'a> {
                 | ComplianceKind::Eccentric(_) => Vec::new(),
             })
             .collect();
-        let of_stream = |(samples, torques): (&ResidualSamples, &Vec<Vec<f64>>)| {
+        let of_stream = |(samples, torques): (&StreamSamples, &Vec<Vec<f64>>)| {
             let of_sample = |k: usize| {
                 let mut values = Vec::new();
                 for (term, behind) in terms.iter().zip(&behind) {
@@ -163,74 +166,58 @@ impl<'a> ComplianceSearch<'a> {
         self.samples.iter().zip(&self.torques).map(of_stream).collect()
     }
 
-    fn system(&self, terms: &[ComplianceTerm], free: &FreeParameters) -> ComplianceSystem {
-        let dof = self.run.joints.dof;
-        let starts: Vec<usize> = terms
-            .iter()
-            .scan(dof, |next, term| {
-                let start = *next;
-                *next += term.width();
-                Some(start)
-            })
-            .collect();
-        let parameters_of_arm = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
-        let shapes = self.profiles(terms);
-        let linears: Vec<Linear> = self
-            .samples
-            .iter()
-            .zip(&shapes)
-            .map(|(samples, shapes)| linear(samples, shapes, terms, &starts, parameters_of_arm))
-            .collect();
-        let columns: Vec<Vec<usize>> = (0..linears.len())
-            .map(|s| {
-                (0..parameters_of_arm)
-                    .chain(
-                        (0..STREAM_PARAMETERS)
-                            .map(|p| parameters_of_arm + s * STREAM_PARAMETERS + p),
-                    )
-                    .collect()
-            })
-            .collect();
-        let weights = linears.iter().map(Linear::first_weights).collect();
-        let normal = Normal::zeros(0);
-        let mut system = ComplianceSystem { linears, weights, normal, columns, starts };
-        system.sum();
-        let every: Vec<usize> = (0..terms.len()).collect();
-        for _ in 0..2 {
-            let step = system.step(&system.parameters(terms, &every, free));
-            system.update_weights(&step);
-        }
-        system
+    fn system(&self, terms: &[ComplianceTerm]) -> ComplianceSystem<'_> {
+        let profiles = self.profiles(terms);
+        let columns = terms.iter().flat_map(|term| vec![term.column; term.width()]);
+        let coefficient = |(at, column): (usize, usize)| {
+            let of_stream = |samples: &Vec<Vec<f64>>| samples.iter().map(|all| all[at]).collect();
+            Coefficient { column, profiles: profiles.iter().map(of_stream).collect() }
+        };
+        let coefficients: Vec<Coefficient> = columns.enumerate().map(coefficient).collect();
+        ComplianceSystem::new(self.samples, &coefficients)
     }
 
-    /// Small sets, with all zeros, latencies and frames free. The first has only backlash and sag; a second
-    /// follows if eccentricity is selected.
-    pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
-        let (terms, free) = (self.candidates(), FreeParameters::all(self.run));
-        let system = self.system(&terms, &free);
-        let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
+    /// The terms that are worth their price.
+    fn selected(
+        &self,
+        terms: &[ComplianceTerm],
+        is_candidate: impl Fn(&ComplianceTerm) -> bool,
+        system: &ComplianceSystem,
+    ) -> Vec<ComplianceTerm> {
+        let coefficients = coefficients(terms);
+        let cost = |set: &[usize]| {
+            let set: Vec<usize> = set.iter().flat_map(|&term| coefficients[term].clone()).collect();
+            system.cost(&set)
+        };
         let every: Vec<usize> = (0..terms.len()).collect();
         let (without_terms, with_all) = (cost(&[]), cost(&every));
-        let price = price(system.normal.independent);
+        let price = price(system.independent());
         let worth = |index: usize| {
             (price * terms[index].width() as f64)
                 .max(MIN_EXPLAINED_SHARE * (without_terms - with_all))
         };
+        let candidates: Vec<usize> =
+            every.into_iter().filter(|&index| is_candidate(&terms[index])).collect();
+        let set = select_terms(&candidates, without_terms, &cost, &worth);
+        set.into_iter().map(|index| terms[index]).collect()
+    }
+
+    /// Small sets. The first has only backlash and sag; a second follows if eccentricity is selected.
+    pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
+        let terms = self.candidates();
+        let system = self.system(&terms);
         let is_eccentric =
-            |index: &usize| matches!(terms[*index].kind, ComplianceKind::Eccentric(_));
-        let simple: Vec<usize> = every.iter().copied().filter(|i| !is_eccentric(i)).collect();
-        let simple = select_terms(&simple, without_terms, &cost, &worth);
-        let mixed = select_terms(&every, without_terms, &cost, &worth);
+            |term: &ComplianceTerm| matches!(term.kind, ComplianceKind::Eccentric(_));
+        let simple = self.selected(&terms, |term| !is_eccentric(term), &system);
+        let mixed = self.selected(&terms, |_| true, &system);
         let is_mixed = mixed.iter().any(is_eccentric);
         let sets = [Some(simple), is_mixed.then_some(mixed)].into_iter().flatten();
-        let of = |set: Vec<usize>| set.into_iter().map(|index| terms[index]).collect();
-        sets.filter(|set| !set.is_empty()).map(of).collect()
+        sets.filter(|set| !set.is_empty()).collect()
     }
 
     /// Sag that changes at one time, and backlash, with everything else free. Empty if constant sag fits
     /// about as well.
     pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
-        let free = FreeParameters::all(self.run);
         let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
             let without_terms = self.candidates().into_iter();
             let sags = without_terms.filter(|term| term.kind == ComplianceKind::Sag);
@@ -257,17 +244,7 @@ impl<'a> ComplianceSearch<'a> {
                 .into_iter()
                 .filter(|term| matches!(term.kind, ComplianceKind::Backlash(_))),
         );
-        let system = self.system(&terms, &free);
-        let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
-        let every: Vec<usize> = (0..terms.len()).collect();
-        let (without_terms, with_all) = (cost(&[]), cost(&every));
-        let price = price(system.normal.independent);
-        let worth = |index: usize| {
-            (price * terms[index].width() as f64)
-                .max(MIN_EXPLAINED_SHARE * (without_terms - with_all))
-        };
-        let set = select_terms(&every, without_terms, &cost, &worth);
-        let set: Vec<ComplianceTerm> = set.into_iter().map(|index| terms[index]).collect();
+        let set = self.selected(&terms, |_| true, &self.system(&terms));
         let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
         if is_loaded { set } else { Vec::new() }
     }
@@ -280,32 +257,23 @@ impl<'a> ComplianceSearch<'a> {
 
     /// `Σ n·ln σ` with `terms` and everything else free.
     pub fn residual_noise(&self, terms: &[ComplianceTerm]) -> f64 {
-        self.system(terms, &FreeParameters::all(self.run)).noise()
+        self.system(terms).noise()
     }
 
     /// Refines values. If `are_removed`, residuals are already corrected for them, and insignificant terms are
     /// removed.
-    pub fn refine(
-        &self,
-        terms: &mut Vec<ComplianceTerm>,
-        free: &FreeParameters,
-        are_removed: bool,
-    ) {
-        let system = self.system(terms, free);
-        let every: Vec<usize> = (0..terms.len()).collect();
-        let parameters = system.parameters(terms, &every, free);
-        let step = system.step(&parameters);
-        let covariance = system.covariance(&parameters);
-        for (term, &start) in terms.iter_mut().zip(&system.starts) {
-            let at = |i: usize| parameters.iter().position(|&p| p == start + i).unwrap_or(0);
-            let variance = |i: usize| covariance[(at(i), at(i))].max(0.0);
-            for i in 0..term.width() {
-                term.amount[i] =
-                    f64::from(u8::from(are_removed)) * term.amount[i] + step[start + i];
+    pub fn refine(&self, terms: &mut Vec<ComplianceTerm>, are_removed: bool) {
+        let system = self.system(terms);
+        let (values, covariance) = system.estimate();
+        let all = coefficients(terms);
+        for (term, own) in terms.iter_mut().zip(all) {
+            let mut variance: f64 = 0.0;
+            for (amount, at) in term.amount.iter_mut().zip(own) {
+                *amount = f64::from(u8::from(are_removed)) * *amount + values[at];
+                variance = variance.max(covariance[(at, at)]);
             }
-            let worst = (0..term.width()).map(variance).fold(0.0, f64::max);
-            term.std_error = worst.sqrt();
-            term.dof = (system.normal.independent - parameters.len() as f64).max(3.0);
+            term.std_error = variance.sqrt();
+            term.dof = system.dof();
         }
         if are_removed {
             terms.retain(ComplianceTerm::is_significant);
@@ -353,6 +321,16 @@ impl<'a> ComplianceSearch<'a> {
     }
 }
 
+/// Coefficients of each term.
+fn coefficients(terms: &[ComplianceTerm]) -> Vec<Range<usize>> {
+    let mut end = 0;
+    let own = |term: &ComplianceTerm| {
+        end += term.width();
+        end - term.width()..end
+    };
+    terms.iter().map(own).collect()
+}
+
 /// Stepwise selection that minimises cost plus price. `without_terms` is the cost of the empty set.
 fn select_terms(
     candidates: &[usize],
@@ -389,11 +367,7 @@ fn select_terms(
 }
 
 /// Indexed by stream, sample and joint.
-fn torques(
-    gravity: &GravityTorques,
-    samples: &[ResidualSamples],
-    dof: usize,
-) -> Vec<Vec<Vec<f64>>> {
+fn torques(gravity: &GravityTorques, samples: &[StreamSamples], dof: usize) -> Vec<Vec<Vec<f64>>> {
     let mut buffer = TorqueBuffers::default();
     let mut of_sample = |q: &Vec<f64>| {
         let mut torques = vec![0.0; dof];

@@ -1,88 +1,109 @@
-//! Normal equations of the compliance terms together with all other causes of the model.
+//! Normal equations of compliance terms. All constant causes are free, links within their prior.
 
-use super::ResidualSamples;
-use super::term::{ComplianceTerm, FreeParameters};
-use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use super::StreamSamples;
+use crate::priors::ZERO_PRIOR;
+use crate::residuals::cause_columns::{VariableColumns, ZEROS};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
-use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 
-/// Per stream: latency, radial scale, reference and tool.
-pub(super) const STREAM_PARAMETERS: usize = 14;
-const CAUSE_COLUMNS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
-
-pub(super) struct ComplianceSystem {
-    pub linears: Vec<Linear>,
-    pub weights: Vec<Vec<Weight>>,
-    pub normal: Normal,
-    /// Parameters of each stream in the full system.
-    pub columns: Vec<Vec<usize>>,
-    /// First column per term.
-    pub starts: Vec<usize>,
+/// Coefficient of a term: its joint, and its profile by stream and sample.
+pub(super) struct Coefficient {
+    pub column: usize,
+    pub profiles: Vec<Vec<f64>>,
 }
 
-impl ComplianceSystem {
-    pub fn sum(&mut self) {
-        let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
-        /// Prior that damps the steps, as in the fit of the model.
-        const DAMPING_SCALE: f64 = 0.02;
-        let mut normal = Normal::zeros(width);
-        for ((linear, weights), columns) in
-            self.linears.iter().zip(&self.weights).zip(&self.columns)
-        {
-            linear.accumulate(weights, columns, &mut normal);
-        }
-        for parameter in 0..width {
-            normal.matrix[(parameter, parameter)] += DAMPING_SCALE.powi(-2);
-        }
-        self.normal = normal;
-    }
+/// Parameters are the coefficients, then the constant causes of each stream.
+pub(super) struct ComplianceSystem<'a> {
+    samples: &'a [StreamSamples<'a>],
+    coefficients: usize,
+    linears: Vec<Linear>,
+    weights: Vec<Vec<Weight>>,
+    /// Parameter of each column of a stream.
+    parameters: Vec<Vec<usize>>,
+    normal: Normal,
+    /// Equations of the coefficients, with the best constant causes.
+    profiled: Normal,
+}
 
-    pub fn update_weights(&mut self, step: &DVector<f64>) {
-        let own = |columns: &[usize]| -> Vec<f64> { columns.iter().map(|&c| step[c]).collect() };
-        self.weights = self
-            .linears
-            .iter()
-            .zip(&self.columns)
-            .map(|(linear, columns)| linear.weights_after(&own(columns)))
-            .collect();
-        self.sum();
-    }
-
-    /// Indices of the terms in `set` and the `free` parameters, ascending.
-    pub fn parameters(
-        &self,
-        terms: &[ComplianceTerm],
-        set: &[usize],
-        free: &FreeParameters,
-    ) -> Vec<usize> {
-        let dof = free.zeros.len();
-        let parameters_of_arm = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
-        let zeros =
-            free.zeros.iter().enumerate().filter(|(_, free)| **free).map(|(joint, _)| joint);
-        let mut parameters: Vec<usize> = zeros.collect();
-        for &index in set {
-            parameters.extend((0..terms[index].width()).map(|i| self.starts[index] + i));
-        }
-        for (s, parts) in free.streams.iter().enumerate() {
-            for (part, _) in CAUSE_COLUMNS.into_iter().zip(parts).filter(|(_, free)| **free) {
-                parameters.extend(
-                    part.map(|parameter| parameters_of_arm + s * STREAM_PARAMETERS + parameter),
-                );
+impl<'a> ComplianceSystem<'a> {
+    pub fn new(samples: &'a [StreamSamples<'a>], coefficients: &[Coefficient]) -> Self {
+        let mut width = coefficients.len();
+        let (mut linears, mut parameters) = (Vec::new(), Vec::new());
+        for (s, stream) in samples.iter().enumerate() {
+            let (mut seen, mut variable) = (Vec::new(), Vec::new());
+            for (parameter, Coefficient { column, profiles }) in coefficients.iter().enumerate() {
+                if let Some(joint) = stream.joint(*column) {
+                    seen.push(parameter);
+                    let columns = ZEROS + joint..ZEROS + joint + 1;
+                    variable.push(VariableColumns { columns, factors: profiles[s].clone() });
+                }
             }
+            let constant = stream.columns.constant();
+            parameters.push((width..width + constant).chain(seen).collect::<Vec<usize>>());
+            width += constant;
+            linears.push(stream.columns.linearize(&variable));
         }
-        parameters.sort_unstable();
-        parameters
+        let weights = linears.iter().map(Linear::first_weights).collect();
+        let (normal, profiled) = (Normal::zeros(width), Normal::zeros(coefficients.len()));
+        let coefficients = coefficients.len();
+        let mut system =
+            Self { samples, coefficients, linears, weights, parameters, normal, profiled };
+        system.sum();
+        for _ in 0..2 {
+            let all: Vec<usize> = (0..width).collect();
+            let step = system.normal.step(&DVector::zeros(width), &all);
+            let own = |parameters: &[usize]| parameters.iter().map(|&p| step[p]).collect();
+            let own: Vec<Vec<f64>> = system.parameters.iter().map(|it| own(it)).collect();
+            let weights = system.linears.iter().zip(own);
+            system.weights = weights.map(|(linear, step)| linear.weights_after(&step)).collect();
+            system.sum();
+        }
+        system
     }
 
-    pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
-        let none = DVector::zeros(self.normal.right.len());
-        self.normal.step(&none, parameters)
+    fn sum(&mut self) {
+        self.normal = Normal::zeros(self.normal.right.len());
+        for ((linear, weights), parameters) in
+            self.linears.iter().zip(&self.weights).zip(&self.parameters)
+        {
+            linear.accumulate(weights, parameters, &mut self.normal);
+        }
+        let prior = self.prior();
+        self.normal.matrix += &prior;
+        self.profiled = self.normal.profiled(self.coefficients);
     }
 
-    pub fn cost(&self, parameters: &[usize]) -> f64 {
-        self.normal.cost_after(&self.step(parameters))
+    /// Precision of the prior.
+    fn prior(&self) -> DMatrix<f64> {
+        let width = self.normal.right.len();
+        let mut prior = DMatrix::zeros(width, width);
+        for coefficient in 0..self.coefficients {
+            prior[(coefficient, coefficient)] = ZERO_PRIOR.powi(-2);
+        }
+        let mut start = self.coefficients;
+        for stream in self.samples {
+            let own = stream.columns.constant();
+            prior.view_mut((start, start), (own, own)).copy_from(&stream.columns.prior());
+            start += own;
+        }
+        prior
+    }
+
+    pub fn independent(&self) -> f64 {
+        self.normal.independent
+    }
+
+    /// Degrees of freedom besides the parameters.
+    pub fn dof(&self) -> f64 {
+        (self.normal.independent - self.normal.right.len() as f64).max(3.0)
+    }
+
+    /// Cost with the best values of these coefficients.
+    pub fn cost(&self, coefficients: &[usize]) -> f64 {
+        let step = self.profiled.step(&DVector::zeros(self.coefficients), coefficients);
+        self.profiled.cost_after(&step)
     }
 
     /// `Σ n·ln σ`.
@@ -94,68 +115,21 @@ impl ComplianceSystem {
         self.linears.iter().zip(&self.weights).map(of_stream).sum()
     }
 
-    pub fn covariance(&self, parameters: &[usize]) -> DMatrix<f64> {
-        let n = parameters.len();
-        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
-        for ((linear, weights), columns) in
-            self.linears.iter().zip(&self.weights).zip(&self.columns)
+    /// Best values of all coefficients, and their covariance.
+    pub fn estimate(&self) -> (DVector<f64>, DMatrix<f64>) {
+        let all: Vec<usize> = (0..self.coefficients).collect();
+        let values = self.profiled.step(&DVector::zeros(self.coefficients), &all);
+        // The prior is as good as samples.
+        let mut information = self.prior();
+        let mut scores = information.clone();
+        for ((linear, weights), parameters) in
+            self.linears.iter().zip(&self.weights).zip(&self.parameters)
         {
-            let targets: Vec<Option<usize>> =
-                columns.iter().map(|column| parameters.binary_search(column).ok()).collect();
+            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
             linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
         }
-        sandwich(&information, &scores)
+        let own: Range<usize> = 0..self.coefficients;
+        let covariance = sandwich(&information, &scores);
+        (values, covariance.view((0, 0), (own.len(), own.len())).into_owned())
     }
-}
-
-/// Residuals and derivatives, in the base frame at the tip.
-pub(super) fn linear(
-    samples: &ResidualSamples,
-    shapes: &[Vec<f64>],
-    terms: &[ComplianceTerm],
-    starts: &[usize],
-    own: usize,
-) -> Linear {
-    const POSITION: usize = 0;
-    const ROTATION: usize = 1;
-    let mut linear = Linear::new(own + STREAM_PARAMETERS, &[FLOOR_M, FLOOR_RAD]);
-    for (k, shapes) in shapes.iter().enumerate() {
-        let mut rows = linear.push(&samples.residual[k]);
-        let mut set = |column: usize, length: Vec3, angle: Vec3| {
-            rows.set(POSITION, column, length.into());
-            let angle = if samples.has_rotation { angle } else { Vec3::zeros() };
-            rows.set(ROTATION, column, angle.into());
-        };
-        let of_joint = |joint: usize| {
-            let [a, b, c, d, e, f] = samples.jacobian[k][joint];
-            (Vec3::new(a, b, c), Vec3::new(d, e, f))
-        };
-        let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
-        for (joint, speed) in samples.qd[k].iter().enumerate() {
-            let (length, angle) = of_joint(joint);
-            set(joint, length, angle);
-            v += length * *speed;
-            w += angle * *speed;
-        }
-        let mut shapes = shapes.iter();
-        for (term, &start) in terms.iter().zip(starts) {
-            let (length, angle) = of_joint(term.column);
-            for (i, shape) in shapes.by_ref().take(term.width()).enumerate() {
-                set(start + i, length * *shape, angle * *shape);
-            }
-        }
-        let fk = &samples.fk[k];
-        let at = fk.translation.vector;
-        set(own, -v, -w);
-        set(own + 1, at, Vec3::zeros());
-        for axis in 0..3 {
-            let unit = Vec3::ith(axis, 1.0);
-            set(own + 2 + axis, unit, Vec3::zeros());
-            set(own + 5 + axis, unit.cross(&at), unit);
-            let tool = fk.rotation * unit;
-            set(own + 8 + axis, tool, Vec3::zeros());
-            set(own + 11 + axis, Vec3::zeros(), tool);
-        }
-    }
-    linear
 }

@@ -1,8 +1,6 @@
-//! Terms of the compliance model, and the parameters fitted with them.
+//! Terms of the compliance model.
 
 use super::shapes::BacklashCrossing;
-use crate::arm_run::ArmRun;
-use crate::{ArmDiagnosis, EstimateResult, FrameEstimate};
 
 const MIN_STD_ERRORS: f64 = 4.0;
 pub(super) const MAX_COMPLIANCE_RAD: f64 = 0.1;
@@ -58,42 +56,5 @@ impl ComplianceTerm {
         is_plausible
             && size.abs() > MIN_STD_ERRORS * self.std_error
             && size.abs() < MAX_COMPLIANCE_RAD
-    }
-}
-
-/// Free parameters in addition to the compliance terms.
-pub(super) struct FreeParameters {
-    pub zeros: Vec<bool>,
-    /// Latency, radial scale, reference and tool per stream.
-    pub streams: Vec<[bool; 4]>,
-}
-
-impl FreeParameters {
-    /// All zeros, latencies and frames.
-    pub fn all(run: &ArmRun) -> Self {
-        Self {
-            zeros: vec![true; run.joints.dof],
-            streams: vec![[true, false, true, true]; run.streams.len()],
-        }
-    }
-
-    /// Only the causes of the selected model.
-    pub fn from_selected(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Self {
-        let streams = run.streams.iter().zip(&diagnosis.streams).map(|(stream, diagnosis)| {
-            let frame = |frame: &EstimateResult<FrameEstimate>| {
-                frame.as_ref().is_ok_and(|frame| frame.is_chosen)
-            };
-            let is_free = !stream.reference_known || frame(&diagnosis.reference);
-            [
-                diagnosis.latency_s.is_ok(),
-                diagnosis.is_radial_scale_chosen,
-                is_free,
-                frame(&diagnosis.tool),
-            ]
-        });
-        let mut zeros: Vec<bool> =
-            diagnosis.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
-        zeros.resize(run.joints.dof, false);
-        Self { zeros, streams: streams.collect() }
     }
 }

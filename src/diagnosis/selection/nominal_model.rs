@@ -14,7 +14,7 @@ use crate::model::jacobian::Derivative;
 use crate::model::measurement::{
     FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
 };
-use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, price};
+use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{LatencyProfile, LatencyRamp};
 use ground::geometry::{Pose, Vec3};
@@ -23,7 +23,7 @@ use nalgebra::{DMatrix, DVector};
 /// Rms tip change by a calibration.
 pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
 pub(crate) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Over the noise.
+/// Over the noise, of positions, or the equivalent of rotations.
 const MIN_EXCESS_M: f64 = 0.3e-3;
 /// Same with joint zeros, whose intervals it widens.
 const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
@@ -45,15 +45,17 @@ pub(crate) fn is_nominal(
 ) -> bool {
     let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let as_recorded = observations.linearize(stream_state, offsets, stride);
-    let rms_m = rms(&as_recorded.residual[0]);
-    if rms_m > MAX_TIP_CHANGE_M || rms(&as_recorded.residual[1]) > MAX_TIP_CHANGE_RAD {
+    let [rms_m, rms_rad] = [0, 1].map(|kind| rms(&as_recorded.residual[kind]));
+    if rms_m > MAX_TIP_CHANGE_M || rms_rad > MAX_TIP_CHANGE_RAD {
         return false;
     }
     let calibration = LinkFrameChanges::fit(observations, stream_state, offsets, stride);
-    let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
+    let square_over_noise =
+        |kind: usize, rms: f64| rms.powi(2) - 3.0 * calibration.weights[kind].noise.sigma.powi(2);
+    let excess = square_over_noise(0, rms_m).max(square_over_noise(1, rms_rad) / RAD_PER_M.powi(2));
     let is_named = offsets.iter().any(|offset| *offset != 0.0);
     let min_excess_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
-    if rms_m.powi(2) - noise_m.powi(2) < min_excess_m.powi(2) {
+    if excess < min_excess_m.powi(2) {
         return false;
     }
     let explained = observations.linearize(&state.streams[stream], &state.offsets, stride);

@@ -457,6 +457,23 @@ impl Normal {
         self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
     }
 
+    /// Equations of the first `kept` parameters, with the best values of the others.
+    pub fn profiled(&self, kept: usize) -> Self {
+        let rest = self.right.len() - kept;
+        let own = ridged(self.matrix.view((kept, kept), (rest, rest)).into_owned());
+        let inverse =
+            own.clone().cholesky().map_or_else(|| pseudo_inverse(&own).0, |own| own.inverse());
+        let right = self.right.rows(kept, rest);
+        let mixed = self.matrix.view((0, kept), (kept, rest)) * &inverse;
+        Self {
+            matrix: self.matrix.view((0, 0), (kept, kept))
+                - &mixed * self.matrix.view((kept, 0), (rest, kept)),
+            right: self.right.rows(0, kept) - &mixed * right,
+            cost: self.cost - right.dot(&(&inverse * right)),
+            independent: self.independent,
+        }
+    }
+
     /// Minimum share of a parameter's effect that the preceding ones do not explain.
     pub fn separation(&self, parameters: &[usize]) -> f64 {
         let cholesky = self.scaled(parameters).0.cholesky();
@@ -481,4 +498,13 @@ impl Normal {
         let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
         (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
     }
+}
+
+/// Unobservable directions count little.
+pub(crate) fn ridged(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
+    const RIDGE: f64 = 1e-9;
+    for i in 0..matrix.nrows() {
+        matrix[(i, i)] += RIDGE * matrix[(i, i)].abs() + f64::MIN_POSITIVE;
+    }
+    matrix
 }

@@ -1,7 +1,8 @@
-//! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame, the latency and
-//! the links.
+//! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame, the latency, the joint
+//! zeros and the links.
 //!
-//! No arm is exactly its model. Tests of changes therefore include constant deviations of the links, with a prior.
+//! No arm is exactly its model. Tests of changes and compliance therefore include constant deviations of the links, with a
+//! prior.
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
@@ -17,7 +18,7 @@ use std::ops::Range;
 
 /// One of a stream's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Frame {
+pub(crate) enum Frame {
     Reference,
     Tool,
 }
@@ -50,27 +51,29 @@ impl Frame {
 }
 
 /// Columns of the latency, the radial scale, and the skew.
-pub(super) const LATENCY: usize = 12;
-pub(super) const RADIAL_SCALE: usize = LATENCY + 1;
+pub(crate) const LATENCY: usize = 12;
+pub(crate) const RADIAL_SCALE: usize = LATENCY + 1;
 /// Number of columns of constant causes besides the links.
 const CAUSES: usize = RADIAL_SCALE + 2;
 /// Variable column of the first joint's zero. Those before are constant columns.
-pub(super) const ZEROS: usize = RADIAL_SCALE + 1;
+pub(crate) const ZEROS: usize = RADIAL_SCALE + 1;
 
-/// Columns with a factor at each time: frames, latency and radial scale as the constant ones, then joint zeros.
-pub(super) struct VariableColumns<'a> {
+/// Columns with a factor for each sample: frames, latency and radial scale as the constant ones, then joint zeros.
+pub(crate) struct VariableColumns {
     pub columns: Range<usize>,
-    pub factor: &'a dyn Fn(f64) -> f64,
+    pub factors: Vec<f64>,
 }
 
 #[derive(Clone)]
-pub(super) struct FrameColumns<'a> {
+pub(crate) struct CauseColumns<'a> {
     pub aligned: Cow<'a, AlignedSamples>,
     pub chain: &'a Chain,
     /// Links before the last, whose deviation is a tool, and joints before the last, whose zero is one.
     links: usize,
-    /// Of those joints, in the frames of their links.
+    /// Of all joints, in the frames of their links.
     axes: Vec<Vec3>,
+    /// Turn of the tool that equals one of the last joint.
+    last_zero: [f64; 6],
     has_rotation: bool,
     /// The reference turns about it, in the base.
     pub centre: Vec3,
@@ -78,7 +81,7 @@ pub(super) struct FrameColumns<'a> {
     has_free_zeros: bool,
 }
 
-impl<'a> FrameColumns<'a> {
+impl<'a> CauseColumns<'a> {
     pub fn new(diagnosis: &'a PoseDiagnosis, chain: &'a Chain) -> Self {
         let aligned = Cow::Borrowed(&diagnosis.aligned);
         let sum: Vec3 = aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).sum();
@@ -86,8 +89,9 @@ impl<'a> FrameColumns<'a> {
         let has_links = !chain.is_floating() && !aligned.q_at_truth.is_empty();
         let links = if has_links { chain.dof().saturating_sub(1) } else { 0 };
         let axes = chain.joint_axes();
+        let last_zero = if has_links { zero_as_tool(chain, &axes) } else { [0.0; 6] };
         let has_rotation = diagnosis.encoding.is_ok();
-        Self { aligned, chain, links, axes, has_rotation, centre, has_free_zeros: false }
+        Self { aligned, chain, links, axes, last_zero, has_rotation, centre, has_free_zeros: false }
     }
 
     /// For tests of changes: constant joint zeros of any size are no changes.
@@ -101,19 +105,22 @@ impl<'a> FrameColumns<'a> {
         CAUSES + 6 * joint + if is_rotary { 3 } else { 0 }
     }
 
-    /// Number of variable columns.
+    /// Number of variable columns, without the last joint's zero.
     pub fn variable(&self) -> usize {
         ZEROS + self.links
     }
 
-    /// Derivatives by the variable columns, from those by the constant ones in a row.
+    /// Derivatives by the variable columns, from those by the constant ones in a row. The last is the last joint's zero.
     pub fn variable_row(&self, row: &[f64]) -> DVector<f64> {
-        DVector::from_fn(self.variable(), |column, _| match column.checked_sub(ZEROS) {
+        let along = |axis: &[f64], derivatives: &[f64]| -> f64 {
+            axis.iter().zip(derivatives).map(|(axis, value)| axis * value).sum()
+        };
+        DVector::from_fn(self.variable() + 1, |column, _| match column.checked_sub(ZEROS) {
             None => row[column],
-            Some(joint) => {
-                let derivatives = &row[self.axis_column(joint)..];
-                self.axes[joint].iter().zip(derivatives).map(|(axis, value)| axis * value).sum()
+            Some(joint) if joint < self.links => {
+                along(self.axes[joint].as_slice(), &row[self.axis_column(joint)..])
             }
+            Some(_) => along(&self.last_zero, &row[Frame::Tool.columns()]),
         })
     }
 
@@ -231,15 +238,13 @@ impl<'a> FrameColumns<'a> {
 
     /// Appends variable columns.
     fn add_variable(&self, linear: &mut Linear, variable: &[VariableColumns]) {
-        let rows: Vec<usize> = self.samples().collect();
-        for (sample, row) in rows.into_iter().enumerate() {
-            let t_s = self.aligned.t_s[row];
+        for sample in 0..linear.len() {
             for axis in 0..6 {
                 let derivatives = self.variable_row(linear.row(sample, axis));
                 let mut at = self.constant();
-                for VariableColumns { columns, factor } in variable {
+                for VariableColumns { columns, factors } in variable {
                     for column in columns.clone() {
-                        linear.set(sample, axis, at, factor(t_s) * derivatives[column]);
+                        linear.set(sample, axis, at, factors[sample] * derivatives[column]);
                         at += 1;
                     }
                 }
@@ -272,4 +277,19 @@ impl<'a> FrameColumns<'a> {
         let all: Vec<usize> = (0..linear.width).collect();
         self.normal_equations(linear, weights).step(&DVector::zeros(linear.width), &all)
     }
+}
+
+/// Change of the tool, a twist, that equals a small motion of the last joint.
+fn zero_as_tool(chain: &Chain, axes: &[Vec3]) -> [f64; 6] {
+    let zeros = vec![0.0; chain.dof()];
+    let mut frames = Vec::new();
+    chain.joint_frames(&zeros, &mut frames);
+    let (Some(last), Some(axis)) = (frames.last(), axes.last()) else { return [0.0; 6] };
+    let last_from_tip = last.inv_mul(&chain.forward(&zeros));
+    let in_tip = |vector: Vec3| last_from_tip.rotation.inverse() * vector;
+    let [shift, turn] = match chain.joint_kinds().last() {
+        Some(JointKind::Prismatic) => [in_tip(*axis), Vec3::zeros()],
+        _ => [in_tip(axis.cross(&last_from_tip.translation.vector)), in_tip(*axis)],
+    };
+    [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]
 }
