@@ -39,17 +39,20 @@ pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> 
 
 /// The test arm, with links that deviate by this much, m, and 0.1° per mm.
 pub fn deviating_chain(link_m: f64) -> Chain {
+    let mut random = Lcg::new();
+    let deviations = std::array::from_fn(|_| {
+        let [shift, turn] = [link_m, 1.745 * link_m].map(|size| random.triple(size));
+        pose(shift, rotation_from_rotvec(turn.into()))
+    });
+    chain_with(&deviations)
+}
+
+/// The test arm with these changes of its links, from the base on.
+pub fn chain_with(deviations: &[Pose; 7]) -> Chain {
     let robot = catalogue::find("ur5e").expect("it is in the catalogue");
     let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
     let path = robot.link_path(base, tip).expect("a serial arm");
-    let mut random = Lcg::new();
-    let deviations: Vec<Pose> = (0..7)
-        .map(|_| {
-            let [shift, turn] = [link_m, 1.745 * link_m].map(|size| random.triple(size));
-            pose(shift, rotation_from_rotvec(turn.into()))
-        })
-        .collect();
-    let robot = robot.with_deviations(&path, &deviations, &[]);
+    let robot = robot.with_deviations(&path, deviations, &[]);
     let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
     robot.chain(base, tip).expect("a chain")
 }

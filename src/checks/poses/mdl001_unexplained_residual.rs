@@ -9,7 +9,10 @@ use crate::checks::residual_attribution::{
     Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
 };
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::{ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseEncoding};
+use crate::diagnosis::{
+    ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseDiagnosis, PoseEncoding,
+    UnusualLink,
+};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Subject, Unit,
@@ -47,6 +50,8 @@ rule! {
     ///   compare poses with it are inconclusive.
     /// - `link_m`, for a nominal model of a calibrated arm: standard deviation of the link deviations, with
     ///   0.1° per 1 mm for their angles.
+    /// - `link`, if one link differs from the model by more than 2 mm: the joints at its ends, and the
+    ///   displacement of its outer end with its interval. The finding is then a warning.
     /// - For a gyro: `scale` is the gain minus 1 along x, y, z with its interval, `axes` the saturated
     ///   axes, `share` the fraction of samples at the limit, `by_fk_rad_s` the arm's maximum rate.
     ///
@@ -65,7 +70,8 @@ rule! {
     /// starts at some time, check what happened then.
     ///
     /// ## When it misleads
-    /// A nominal description of a calibrated arm has a residual of 1–10 mm; the log is then not at fault.
+    /// A nominal description of a calibrated arm has a residual of 1–10 mm, from deviations of many links; the
+    /// log is then not at fault.
     /// Slowly varying tracker noise counts as residual.
     MDL001 {
         name: "unexplained-residual",
@@ -222,7 +228,7 @@ fn judge(
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = excess_rms(&error.length.whole);
     let competing = &arm.indistinguishable_models;
-    let outcome = match outcome(case, attributed, all) {
+    let outcome = match outcome(case, arm, attributed, all) {
         Outcome::Evaluated(Ruling::Fail(_))
             if !competing.is_empty() && attributed.residual().is_some() =>
         {
@@ -284,7 +290,12 @@ fn error_json(case: &Case, error: &FkError) -> Value {
     })
 }
 
-fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Outcome {
+fn outcome(
+    case: &Case,
+    arm: &ArmEvidence,
+    attributed: &AttributedStream,
+    all: &[AttributedStream],
+) -> Outcome {
     let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
     let settle = settle(&attributed.subject);
     let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
@@ -316,7 +327,11 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         )),
         Attribution::SmallErrors(residual) => Outcome::fail(small(case, residual)),
         Attribution::NominalModel(error) => {
-            Outcome::fail(nominal(error, attributed.stream.diagnosis.link_m))
+            let PoseDiagnosis { link_m, unusual_link, .. } = &attributed.stream.diagnosis;
+            Outcome::fail(match unusual_link {
+                Some(link) => unusual(arm, error, link),
+                None => nominal(error, *link_m),
+            })
         }
         Attribution::Unexplained(residual) if attributed.are_separate_bodies() => {
             Outcome::Inconclusive(format!(
@@ -426,6 +441,40 @@ fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
         },
         fix: "use the arm's calibration (for a UR, calibration.yaml from the controller), or estimate it \
             from logs with `poseaudit calibrate`"
+            .to_owned(),
+    }
+}
+
+fn unusual(arm: &ArmEvidence, error: &FkError, link: &UnusualLink) -> Fault {
+    let name = |column: usize| arm.joints.get(column).map_or("", |joint| &joint.name);
+    let [from, to] = link.joints.map(name);
+    let length = Unit::Metre.show_measured(&link.length_m);
+    let Measured { value: displacement_m, .. } = link.length_m;
+    let half = link.length_m.half_width(0.95);
+    Fault {
+        cause: Cause::UnexplainedResidual,
+        severity: Severity::Warning,
+        title: "a link differs from the model",
+        message: format!(
+            "residual {} rms: the link between {from} and {to} differs from the model by {length}",
+            sizes(error)
+        ),
+        evidence: Evidence {
+            effect_m: Some(error.length.whole.rms),
+            more: [(
+                "link".to_owned(),
+                json!({
+                    "joints": [from, to],
+                    "displacement_m": displacement_m,
+"ci95_m": [displacement_m - half, displacement_m + half],
+                }),
+            )]
+            .into_iter()
+            .collect(),
+            ..Evidence::default()
+        },
+        fix: "check that the description belongs to this arm and variant; measure the link, or estimate all links from \
+            logs with `poseaudit calibrate`"
             .to_owned(),
     }
 }

@@ -27,6 +27,7 @@ use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
+use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, DVector};
 
 /// Minimum, maximum, ratio.
@@ -41,6 +42,8 @@ const LINEARIZATION_ROUNDS: usize = 4;
 const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
+/// Links of five UR arms in public logs are displaced by at most 1 mm.
+const MAX_USUAL_DISPLACEMENT_M: f64 = 2e-3;
 
 /// Joint zeros estimated together with link deviations.
 #[derive(Clone, Debug)]
@@ -51,6 +54,17 @@ pub(crate) struct LinkDeviations {
     pub zeros: Vec<Option<Measured>>,
     /// Standard deviation of the links, m.
     pub link_m: f64,
+    /// Link that deviates most, if more than usual.
+    pub unusual: Option<UnusualLink>,
+}
+
+/// Link that differs from the model by more than usual.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnusualLink {
+    /// Columns of the joints at its ends.
+    pub joints: [usize; 2],
+    /// Displacement of its outer end, m.
+    pub length_m: Measured,
 }
 
 impl LinkDeviations {
@@ -513,7 +527,29 @@ impl DeviationModel {
             reported: fit.zeros.iter().map(confounders_of).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
+            unusual: self.unusual_link(fit, &observations.columns),
         }
+    }
+
+    /// Beyond the first joint and before the last. Other links are the base and the tool.
+    fn unusual_link(&self, fit: &DeviationFit, columns: &[usize]) -> Option<UnusualLink> {
+        const CONFIDENCE: f64 = 0.999;
+        let displacement = |link: usize| {
+            let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group, unit } if *group == link && *unit == 1.0);
+            let own: Vec<usize> =
+                (0..self.kinds.len()).filter(|&i| is_its(&self.kinds[i])).collect();
+            let mean: Vec<f64> = own.iter().map(|&i| fit.mean[i]).collect();
+            let covariance = fit.covariance.select_columns(&own).select_rows(&own);
+            let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
+            UnusualLink { joints: [columns[link - 1], columns[link]], length_m }
+        };
+        let is_unusual = |UnusualLink { length_m, .. }: &UnusualLink| {
+            length_m.value - length_m.half_width(CONFIDENCE) > MAX_USUAL_DISPLACEMENT_M
+        };
+        let links = self.groups().filter(|group| (1..self.joints).contains(group));
+        let largest =
+            links.map(displacement).max_by(|a, b| a.length_m.value.total_cmp(&b.length_m.value));
+        largest.filter(is_unusual)
     }
 }
 
@@ -568,4 +604,47 @@ fn parameters(
     columns.push(column);
     of.push(DeviationParameter::RadialScale);
     (DMatrix::from_columns(&columns), of)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::diagnose_arm;
+    use crate::test_motion::{arm, chain_with, deviating_chain, tip_stream};
+    use crate::test_random::Lcg;
+    use ground::geometry::{Pose, Rotation, Vec3};
+    use ground::robot::Chain;
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// Joints and length, mm, of an unusual link of an arm that moves like `of`.
+    fn unusual_link(of: &Chain) -> Option<([usize; 2], f64)> {
+        let (joints, chain) = arm();
+        let mut random = Lcg::new();
+        let (xyz, rotations) = joints
+            .q
+            .chunks(6)
+            .map(|q| {
+                let pose = of.forward(q);
+                (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+            })
+            .unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
+        let link = found.streams[0].unusual_link?;
+        assert!(found.streams[0].is_nominal);
+        Some((link.joints, 1e3 * link.length_m.value))
+    }
+
+    #[test]
+    fn one_link_that_differs_from_the_model_is_found() {
+        for link in 2..5 {
+            let mut deviations = [Pose::identity(); 7];
+            let shift = Vec3::new(3e-3, 0.0, 0.0);
+            deviations[link] = Pose::from_parts(shift.into(), Rotation::identity());
+            let (joints, length_mm) = unusual_link(&chain_with(&deviations)).expect("a link");
+            assert_eq!(joints, [link - 1, link]);
+            assert!((length_mm - 3.0).abs() < 0.3, "{link}: {length_mm}");
+        }
+        assert_eq!(unusual_link(&deviating_chain(5e-4)), None);
+    }
 }
