@@ -1,7 +1,7 @@
 //! Input of a diagnosis of an arm's run.
 
 use crate::arm::{diagnose_arm, diagnose_arm_as_logged};
-use crate::{ArmDiagnosis, PoseStream};
+use crate::{ArmDiagnosis, JointEncoding, PoseStream};
 use ground::stream::JointTrack;
 
 /// Joint states and pose streams of an arm.
@@ -19,6 +19,14 @@ impl ArmRun<'_> {
     /// With constant causes.
     pub fn diagnose(&self) -> ArmDiagnosis {
         diagnose_arm(self.joints, self.streams, self.max_lag_s)
+    }
+
+    /// The same, after changes that do not affect whether the joint states are as logged.
+    pub fn diagnose_again(&self, before: &ArmDiagnosis) -> ArmDiagnosis {
+        match before.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+            true => self.diagnose_as_logged(),
+            false => self.diagnose(),
+        }
     }
 
     /// The same, without another encoding of the joint states.

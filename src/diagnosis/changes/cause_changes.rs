@@ -17,7 +17,7 @@ use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
 use crate::residuals::comparison::{has_slow_residual, restore_recorded};
 use crate::selection::nominal_model::rms;
-use crate::solver::linear::{Linear, Normal};
+use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, FrameEstimate, PoseDiagnosis};
 use ground::geometry::{Pose, Rotation, Vec3};
@@ -306,74 +306,109 @@ struct Fit {
     halves: Vec<DVector<f64>>,
     /// What to add to the constant reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
-    covariances: Vec<DMatrix<f64>>,
     dof: f64,
     /// Reduction of the cost beyond constant causes, minus the price of the changes.
     score: f64,
 }
 
-impl Fit {
+/// Equations of several changes and the constant causes of all streams. Parameters are those of each stream, then those of
+/// each change.
+struct Equations {
+    streams: Vec<StreamEquations>,
+    /// Parameters of each change.
+    changes: Vec<Range<usize>>,
+    /// Precision of the prior.
+    prior: DMatrix<f64>,
+}
+
+struct StreamEquations {
+    linear: Linear,
+    weights: Vec<Weight>,
+    /// Parameter of each column.
+    parameters: Vec<usize>,
+}
+
+impl Equations {
     /// `streams` are without the changes so far.
     fn new(streams: &[Stream], changes: &[Change]) -> Self {
         let constant: usize = streams.iter().map(|stream| stream.columns.constant()).sum();
         let mut width = constant;
-        let columns: Vec<Range<usize>> = changes
-            .iter()
-            .map(|change| {
-                width += change.columns.len();
-                width - change.columns.len()..width
-            })
-            .collect();
-        let mut normal = Normal::zeros(width);
-        let mut information = DMatrix::zeros(width, width);
-        let mut scores = information.clone();
+        let of_change = |change: &Change| {
+            width += change.columns.len();
+            width - change.columns.len()..width
+        };
+        let of_changes: Vec<Range<usize>> = changes.iter().map(of_change).collect();
+        let mut prior = DMatrix::zeros(width, width);
         let mut start = 0;
-        let mut frames_at = Vec::new();
-        for stream in streams {
-            frames_at.push(start);
-            let (seen, seen_at): (Vec<StepOrDrift>, Vec<Range<usize>>) = changes
-                .iter()
-                .zip(&columns)
-                .filter_map(|(change, at)| Some((stream.seen(change)?, at.clone())))
-                .unzip();
+        let equations = |stream: &Stream| {
+            let seen = changes.iter().zip(&of_changes);
+            let seen = seen.filter_map(|(change, at)| Some((stream.seen(change)?, at.clone())));
+            let (seen, seen_at): (Vec<StepOrDrift>, Vec<Range<usize>>) = seen.unzip();
             let linear = stream.linearize(&seen);
             let first = stream.columns.fit(&linear, &linear.first_weights());
             let weights = linear.weights_after(first.as_slice());
             let own = stream.columns.constant();
-            let targets: Vec<usize> =
-                (start..start + own).chain(seen_at.into_iter().flatten()).collect();
-            linear.accumulate(&weights, &targets, &mut normal);
-            let targets: Vec<Option<usize>> = targets.into_iter().map(Some).collect();
-            linear.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
-            // The prior is as good as samples.
-            let prior = stream.columns.prior();
-            for matrix in [&mut normal.matrix, &mut information, &mut scores] {
-                let mut own = matrix.view_mut((start, start), (own, own));
-                own += &prior;
-            }
+            prior.view_mut((start, start), (own, own)).copy_from(&stream.columns.prior());
             start += own;
+            let parameters = (start - own..start).chain(seen_at.into_iter().flatten()).collect();
+            StreamEquations { linear, weights, parameters }
+        };
+        let streams = streams.iter().map(equations).collect();
+        Self { streams, changes: of_changes, prior }
+    }
+
+    /// Covariance of half of each change.
+    fn covariances(&self) -> Vec<DMatrix<f64>> {
+        // The prior is as good as samples.
+        let (mut information, mut scores) = (self.prior.clone(), self.prior.clone());
+        for StreamEquations { linear, weights, parameters } in &self.streams {
+            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
+            linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
         }
+        let covariance = sandwich(&information, &scores);
+        let own = |parameters: &Range<usize>| {
+            let (start, len) = (parameters.start, parameters.len());
+            covariance.view((start, start), (len, len)).into_owned()
+        };
+        self.changes.iter().map(own).collect()
+    }
+}
+
+impl Fit {
+    /// `streams` are without the changes so far.
+    fn new(streams: &[Stream], changes: &[Change]) -> Self {
+        Self::of(&Equations::new(streams, changes), streams, changes)
+    }
+
+    fn of(equations: &Equations, streams: &[Stream], changes: &[Change]) -> Self {
+        let width = equations.prior.nrows();
+        let mut normal = Normal::zeros(width);
+        for StreamEquations { linear, weights, parameters } in &equations.streams {
+            linear.accumulate(weights, parameters, &mut normal);
+        }
+        normal.matrix += &equations.prior;
         let all: Vec<usize> = (0..width).collect();
+        let constant = width - changes.iter().map(|change| change.columns.len()).sum::<usize>();
         let none = DVector::zeros(width);
         let step = normal.step(&none, &all);
         let mut values = none;
-        for (columns, change) in columns.iter().zip(changes) {
-            values.rows_mut(columns.start, columns.len()).copy_from(&change.half);
+        for (own, change) in equations.changes.iter().zip(changes) {
+            values.rows_mut(own.start, own.len()).copy_from(&change.half);
         }
         let without = normal.step(&values, &all[..constant]);
         let times = changes.iter().filter(|change| change.step.is_some()).count();
         let price = price(normal.independent) * (width - constant + times) as f64;
-        let covariance = sandwich(&information, &scores);
-        let half = |columns: &Range<usize>| step.rows(columns.start, columns.len()).into_owned();
-        let own = |columns: &Range<usize>| {
-            let (start, len) = (columns.start, columns.len());
-            covariance.view((start, start), (len, len)).into_owned()
-        };
+        let half = |own: &Range<usize>| step.rows(own.start, own.len()).into_owned();
         let twist = |first: usize| std::array::from_fn(|i| step[first + i]);
+        let mut start = 0;
+        let frames = streams.iter().map(|stream| {
+            let first = start;
+            start += stream.columns.constant();
+            [twist(first), twist(first + 6)]
+        });
         Self {
-            halves: columns.iter().map(half).collect(),
-            frames: frames_at.into_iter().map(|first| [twist(first), twist(first + 6)]).collect(),
-            covariances: columns.iter().map(own).collect(),
+            frames: frames.collect(),
+            halves: equations.changes.iter().map(half).collect(),
             dof: (normal.independent - width as f64).max(3.0),
             score: normal.cost_after(&without) - normal.cost_after(&step) - price,
         }
@@ -517,7 +552,7 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
         let mut joints = run.joints.clone();
         patches.iter().for_each(|patch| patch.apply(&mut joints));
         let streams = with_tracks(run.streams, &tracks);
-        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose();
+        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
         let steady = Stream::all(run, &after);
         if steady.len() < changing.len() || unexplained_m(&steady) >= unexplained_m(&changing) {
             break;
@@ -578,7 +613,9 @@ impl Removal {
         if !are_floating(run.streams) && !streams.iter().all(is_explained) {
             return None;
         }
-        let Fit { covariances, dof, .. } = Fit::new(&streams, &changes);
+        let equations = Equations::new(&streams, &changes);
+        let Fit { dof, .. } = Fit::of(&equations, &streams, &changes);
+        let covariances = equations.covariances();
         for (change, covariance) in changes.iter().zip(&covariances) {
             let std_error = 2.0 * covariance[(0, 0)].sqrt();
             let size = Measured { value: 2.0 * change.half[0], std_error, dof };

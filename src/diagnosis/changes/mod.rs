@@ -359,7 +359,7 @@ impl BaselineSegment {
             })
             .collect();
         let arm = ArmRun { joints: &corrected.joints, streams: &streams, ..run.arm };
-        let after = arm.diagnose();
+        let after = arm.diagnose_again(&self.diagnosis);
         // Compliance persists across change points.
         let with_compliance = diagnose_with_compliance(&arm, &after);
         Some((corrected, with_compliance.unwrap_or(after)))
