@@ -74,6 +74,25 @@ impl Change {
     }
 }
 
+/// State without changes.
+#[derive(Clone, Copy)]
+enum Target {
+    /// Between the first state and the last one.
+    Middle,
+    /// The first: slips and collisions happen later.
+    Start,
+}
+
+impl Target {
+    /// Part of each change to add to its factor.
+    fn part(self) -> f64 {
+        match self {
+            Self::Middle => 0.0,
+            Self::Start => 1.0,
+        }
+    }
+}
+
 fn later(step: Option<Jump>, by_s: f64) -> Option<Jump> {
     step.map(|step| Jump { at_s: step.at_s + by_s, ..step })
 }
@@ -163,6 +182,7 @@ impl<'a> Stream<'a> {
     fn steady_pose(
         &self,
         changes: &[(&Change, StepOrDrift)],
+        target: Target,
         constant: &[[f64; 6]; 2],
         is: &Pose,
         t_s: f64,
@@ -170,7 +190,7 @@ impl<'a> Stream<'a> {
         let mut twists = *constant;
         let mut scale = 0.0;
         for (change, seen) in changes {
-            let part = seen.factor(&self.columns, t_s);
+            let part = seen.factor(&self.columns, t_s) + target.part();
             let twist = match change.subject {
                 Subject::Frame { frame: Frame::Reference, .. } => &mut twists[0],
                 Subject::Frame { frame: Frame::Tool, .. } => &mut twists[1],
@@ -193,12 +213,13 @@ impl<'a> Stream<'a> {
         changes.iter().filter_map(|change| Some((change, self.seen(change)?))).collect()
     }
 
-    /// Decoded poses without these changes of frames and radial scales.
+    /// Decoded poses, with frames and radial scale as at the start.
     fn steady_track(&self, changes: &[Change]) -> PoseTrack {
         let seen = self.seen_changes(changes);
         let AlignedSamples { corrected, t_s, .. } = &self.found.aligned;
         let steady = |(is, &t_s): (&Pose, &f64)| {
-            self.found.frame_correction.invert(&self.steady_pose(&seen, &[[0.0; 6]; 2], is, t_s))
+            let pose = self.steady_pose(&seen, Target::Start, &[[0.0; 6]; 2], is, t_s);
+            self.found.frame_correction.invert(&pose)
         };
         with_poses(self.found, corrected.iter().zip(t_s).map(steady))
     }
@@ -212,7 +233,7 @@ impl<'a> Stream<'a> {
         for row in self.columns.samples() {
             let t_s = aligned.t_s[row];
             aligned.corrected[row] =
-                self.steady_pose(&seen, constant, &aligned.corrected[row], t_s);
+                self.steady_pose(&seen, Target::Middle, constant, &aligned.corrected[row], t_s);
             let mut turned = false;
             for (change, seen) in seen.iter().filter(|it| it.0.subject.stream().is_none()) {
                 let joint = seen.columns.start - ZEROS;
@@ -266,7 +287,8 @@ impl<'a> Stream<'a> {
         let others = all.iter().filter(|it| it.subject == change.subject && it.step != change.step);
         let mut of_others = [0.0; 6];
         for other in others {
-            let part = self.seen(other).map_or(0.0, |seen| seen.factor(&self.columns, at_s));
+            let factor = self.seen(other).map_or(0.0, |seen| seen.factor(&self.columns, at_s));
+            let part = factor + Target::Start.part();
             of_others.iter_mut().zip(other.twist(part)).for_each(|(sum, own)| *sum += own);
         }
         let about = Pose::from_parts(about.into(), Rotation::identity());
@@ -280,7 +302,7 @@ impl<'a> Stream<'a> {
                 Frame::Tool => changed,
             }
         };
-        let (from, to) = (frame(-1.0), frame(1.0));
+        let (from, to) = (frame(0.0), frame(2.0));
         let pose = from.inv_mul(&to);
         let exact = |value: f64, linear: Measured| Measured { value, ..linear };
         ChangePoint {
@@ -641,14 +663,14 @@ impl Removal {
                     let stream = &mut after.streams[stream];
                     let base = stream.radial_scale.as_ref().ok();
                     let base = base.filter(|_| stream.is_radial_scale_chosen);
-                    let middle = base.map_or(0.0, |base| base.value);
+                    let at_start = base.map_or(0.0, |base| base.value);
                     let (at_s, within_s) = change.time(columns);
                     stream.radial_scale_changes.push(ChangePoint {
                         at_s,
                         within_s,
                         is_gradual: change.step.is_none(),
-                        from: middle - change.half[0],
-                        to: middle + change.half[0],
+                        from: at_start,
+                        to: at_start + size.value,
                         size,
                     });
                     size.value.abs() > size.half_width(0.95)

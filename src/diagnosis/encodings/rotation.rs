@@ -269,9 +269,13 @@ pub(crate) fn estimate_encoding_with_gravity(
         })
         .collect();
     let by_links = max_by_links(min_residual);
-    // Beside the same frame errors, another encoding must explain more than link deviations.
-    let is_usual =
-        |rank: u8, fit: &EncodingFit| rank == 0 || matches!(fit.encoding, PoseEncoding::AsLogged);
+    // Beside the same frame errors, another encoding must explain more than link deviations. So must frame errors beside
+    // another encoding.
+    let is_usual = |rank: u8, fit: &EncodingFit| {
+        rank == 0
+            || matches!(fit.encoding, PoseEncoding::AsLogged)
+            || fit.frames == FreeFrameErrors::None
+    };
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
         fit.residual_rad <= accepted || (is_usual(*rank, fit) && fit.residual_rad <= by_links)
     };
