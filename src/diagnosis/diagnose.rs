@@ -8,13 +8,13 @@
 use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_changes,
-    diagnose_with_recorded_changes, is_explained_by_links,
+    constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_encoding_changes,
+    diagnose_with_recorded_encoding_changes, is_explained_by_links,
 };
 use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::has_slow_residual;
-use crate::selection::evidence::{fits_as_well, likeliest, log_bayes_factor};
+use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
@@ -78,41 +78,31 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
 }
 
 fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
-    let streams = run.streams;
-    if let Some(by_changes) = diagnose_with_recorded_changes(run) {
+    if let Some(by_encodings) = diagnose_with_recorded_encoding_changes(run, diagnose_uniform) {
         // Between poses in one frame, a drift leaves some segments as logged.
-        let constant = are_floating(streams).then(|| run.diagnose());
+        let constant = are_floating(run.streams).then(|| run.diagnose());
         let by_steps = constant.and_then(|constant| diagnose_with_cause_changes(run, &constant));
-        return match by_steps {
-            Some(by_steps) if log_bayes_factor(&by_steps, &by_changes) > 0.0 => by_steps,
-            _ => by_changes,
-        };
+        return likeliest([by_encodings].into_iter().chain(by_steps))
+            .unwrap_or_else(|| run.diagnose());
     }
+    let uniform = diagnose_uniform(run);
+    diagnose_with_encoding_changes(run, &uniform, diagnose_uniform).unwrap_or(uniform)
+}
+
+/// Diagnosis with one encoding throughout the run.
+fn diagnose_uniform(run: &ArmRun) -> ArmDiagnosis {
     let CompensatedRun { tracks, profiles, diagnosis } = CompensatedRun::new(run);
-    let streams = with_tracks(streams, &tracks);
+    let streams = with_tracks(run.streams, &tracks);
     let run = ArmRun { streams: &streams, ..*run };
-    let (mut diagnosis, has_changes) =
-        diagnose_with_varying_causes(&run, &diagnosis).unwrap_or((diagnosis, false));
-    for (stream, compensated) in diagnosis.streams.iter_mut().zip(profiles) {
-        match (&mut stream.latency_profile, compensated) {
-            // Change points include further steps of the latency.
-            (Ok(further), Ok(compensated)) if has_changes && !further.steps.is_empty() => {
-                if let Some(all) = compensated.with_further_steps(further) {
-                    *further = all;
-                }
-            }
-            (profile, compensated) => *profile = compensated,
-        }
+    let mut diagnosis = diagnose_with_varying_causes(&run, &diagnosis).unwrap_or(diagnosis);
+    for (stream, profile) in diagnosis.streams.iter_mut().zip(profiles) {
+        stream.latency_profile = profile;
     }
     diagnosis
 }
 
-/// Diagnosis with joint compliance, change points or a drift of a frame, and whether it has change points of segments.
-/// `None` if `constant` is likelier.
-fn diagnose_with_varying_causes(
-    run: &ArmRun,
-    constant: &ArmDiagnosis,
-) -> Option<(ArmDiagnosis, bool)> {
+/// Diagnosis with joint compliance, or changes of causes. `None` if `constant` is likelier.
+fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     let is_within_links = !are_floating(run.streams) && constant_frames_suffice(constant);
     // Link deviations look like sag and eccentricity, but not like backlash.
     let is_distinct = |it: &ArmDiagnosis| {
@@ -121,31 +111,17 @@ fn diagnose_with_varying_causes(
     let by_steps = diagnose_with_cause_changes(run, constant);
     let by_compliance = diagnose_scale_as_compliance(run, constant)
         .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
-    let is_sufficient = |it: &ArmDiagnosis| !it.streams.iter().any(has_slow_residual);
     let is_explained = |it: &ArmDiagnosis| {
-        let streams = it.streams.iter().zip(run.streams);
-        streams.into_iter().all(|(found, stream)| is_explained_by_links(found, stream))
+        let mut streams = it.streams.iter().zip(run.streams);
+        !it.streams.iter().any(has_slow_residual)
+            || streams.all(|(found, stream)| is_explained_by_links(found, stream))
     };
-    let are_steps_enough =
-        by_steps.as_ref().is_some_and(|it| is_sufficient(it) || is_explained(it));
+    let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
     // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
     let by_compliance = by_compliance.filter(|it| {
         !are_steps_enough || !it.joints.compliance.iter().any(JointCompliance::is_eccentric)
     });
-    if is_within_links || are_steps_enough {
-        return Some((likeliest(by_compliance.into_iter().chain(by_steps))?, false));
-    }
-    // Backlash with few reversals resembles a changing zero or frame.
-    let is_compliant = by_compliance
-        .as_ref()
-        .is_some_and(|it| !it.joints.compliance.is_empty() && is_sufficient(it));
-    let max_changes = if is_compliant { 1 } else { usize::MAX };
-    let by_segments = diagnose_with_changes(run, constant, max_changes).map(|it| (it, true));
-    let others = [by_compliance, by_steps].into_iter().flatten().map(|it| (it, false));
-    let likelier = |best: (ArmDiagnosis, bool), one: (ArmDiagnosis, bool)| {
-        if log_bayes_factor(&one.0, &best.0) > 0.0 { one } else { best }
-    };
-    by_segments.into_iter().chain(others).reduce(likelier)
+    likeliest(by_compliance.into_iter().chain(by_steps))
 }
 
 #[cfg(test)]

@@ -33,14 +33,6 @@ pub(super) struct ArmFit {
     pub(super) deviations: Option<LinkDeviations>,
 }
 
-/// Whether links may deviate from the model.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum LinkModel {
-    MayDeviate,
-    /// Already corrected by another segment's result.
-    Fixed,
-}
-
 static FULL_FITS: AtomicUsize = AtomicUsize::new(0);
 
 /// Number of fits of an arm and its streams by this process.
@@ -52,7 +44,6 @@ pub(super) fn fit(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
     with_offsets: bool,
-    links: LinkModel,
 ) -> Option<ArmFit> {
     if decoded.is_empty() {
         return None;
@@ -120,7 +111,7 @@ pub(super) fn fit(
         |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
-        return Some(match with_offsets && has_links && links == LinkModel::MayDeviate {
+        return Some(match with_offsets && has_links {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
         });

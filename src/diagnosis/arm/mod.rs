@@ -26,8 +26,8 @@ use crate::{
     StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
+use fit::fit;
 pub use fit::full_fit_count;
-use fit::{LinkModel, fit};
 use ground::geometry::{Convention, QuaternionOrderError, Vec3};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -39,20 +39,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64)
     if are_floating(streams) {
         return diagnose_arm_as_logged(joints, streams, max_lag_s);
     }
-    diagnose_with(joints, streams, max_lag_s, LinkModel::MayDeviate)
-}
-
-/// Diagnoses a segment already corrected by another's result: the links are the same, so they explain no
-/// residual.
-pub(super) fn diagnose_other_segment(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    max_lag_s: f64,
-) -> ArmDiagnosis {
-    if are_floating(streams) {
-        return diagnose_arm_as_logged(joints, streams, max_lag_s);
-    }
-    diagnose_with(joints, streams, max_lag_s, LinkModel::Fixed)
+    diagnose_with(joints, streams, max_lag_s)
 }
 
 /// Whether the streams are compared with poses instead of joint states.
@@ -60,12 +47,7 @@ pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
     streams.iter().any(|stream| stream.chain.is_floating())
 }
 
-fn diagnose_with(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    max_lag_s: f64,
-    links: LinkModel,
-) -> ArmDiagnosis {
+fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
     let is_prismatic = prismatic_columns(joints.dof, streams);
     let estimate_positions = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
         streams
@@ -84,7 +66,6 @@ fn diagnose_with(
             streams,
             reestimated.as_ref().unwrap_or(&position_encodings),
             true,
-            links,
         )
     };
     let as_logged = JointEncoding::default();
@@ -122,7 +103,7 @@ fn diagnose_with(
     if encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         let corrected = CorrectedJoints::new(joints, &as_logged, &is_prismatic);
         result = result.or_standard(&position_encodings, |standard| {
-            diagnose(joints, &corrected, streams, standard, true, links)
+            diagnose(joints, &corrected, streams, standard, true)
         });
     }
     let is_far_from_fk = |result: &EncodingResult| {
@@ -211,7 +192,7 @@ pub(super) fn diagnose_arm_as_logged(
         .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
         .collect::<Vec<_>>();
     let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
-        diagnose(joints, &corrected, streams, position_encodings, true, LinkModel::MayDeviate)
+        diagnose(joints, &corrected, streams, position_encodings, true)
     };
     let EncodingResult { offsets, scales, streams, .. } =
         diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
@@ -442,9 +423,7 @@ pub fn diagnose_derived(
         let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic).for_derived();
         let position_encodings =
             [PositionEncodingEstimate::estimate(&corrected.track, stream, max_lag_s)];
-        diagnose(joints, &corrected, streams, &position_encodings, false, LinkModel::Fixed)
-            .streams
-            .remove(0)
+        diagnose(joints, &corrected, streams, &position_encodings, false).streams.remove(0)
     };
     let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
@@ -496,7 +475,6 @@ fn diagnose(
     streams: &[PoseStream],
     position_encodings: &[PositionEncodingEstimate],
     with_offsets: bool,
-    links: LinkModel,
 ) -> EncodingResult {
     let joints = &corrected.track;
     let decoded: Vec<EstimateResult<DecodedStream>> = streams
@@ -505,7 +483,7 @@ fn diagnose(
         .map(|(stream, position_encoding)| decode_stream(corrected, stream, position_encoding))
         .collect();
     let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
-    let fitted = fit(&usable, corrected, with_offsets, links);
+    let fitted = fit(&usable, corrected, with_offsets);
     let observations: Vec<&PoseObservations> =
         usable.iter().map(|decoded| &decoded.observations).collect();
     let held_out = fitted

@@ -4,11 +4,10 @@
 //! All changes are fitted to the residuals of all streams, together with constant causes and link deviations. Their
 //! effect is removed from joint states and poses, and the run is diagnosed again.
 
-use super::encoding_changes::keep_encoding;
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
-use super::report::report_confounders;
+use super::patches::with_poses;
 use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
-use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange, with_poses};
+use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_tracks;
@@ -19,7 +18,7 @@ use crate::residuals::comparison::{has_slow_residual, restore_recorded};
 use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
-use crate::{AlignedSamples, ArmDiagnosis, FrameEstimate, PoseDiagnosis};
+use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
 use ground::stream::PoseTrack;
@@ -732,6 +731,32 @@ fn report_zero(
         to: base + offset(&|span| span.from_s == step.at_s),
         size,
     })
+}
+
+/// Reports in `after`, the diagnosis of decoded poses, the encoding that they had.
+fn keep_encoding(before: &PoseDiagnosis, after: &mut PoseDiagnosis) {
+    after.encoding.clone_from(&before.encoding);
+    after.is_inverted = before.is_inverted;
+    after.degrees = before.degrees;
+    after.length_unit.clone_from(&before.length_unit);
+    after.axes.clone_from(&before.axes);
+    after.constant_coordinates.clone_from(&before.constant_coordinates);
+}
+
+/// For a single stream, the first joint's zero is equivalent to a base rotation, the last joint's to a tool rotation.
+fn report_confounders(streams: &[PoseStream], after: &mut ArmDiagnosis) {
+    let [stream] = streams else { return };
+    let joints = &mut after.joints;
+    for JointChange { column, zero, .. } in &joints.changes {
+        let Some(zero) = zero else { continue };
+        let by = zero.size.value.abs();
+        let is_at = |end: Option<&usize>| end == Some(column);
+        let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
+        let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
+        if let Some(offset) = joints.offsets.get_mut(*column) {
+            offset.confounders = base.into_iter().chain(tool).collect();
+        }
+    }
 }
 
 /// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the run as it is. `None` if

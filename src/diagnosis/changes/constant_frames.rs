@@ -1,6 +1,6 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
-use super::MIN_SEGMENT_SAMPLES;
+use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};

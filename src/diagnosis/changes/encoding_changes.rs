@@ -1,36 +1,235 @@
-//! Encodings that differ between segments of a run.
+//! Encodings that change within a run, for example when a node is restarted.
+//!
+//! The run is split where recorded numbers jump or data are missing. Its segments are diagnosed alone. Those with another
+//! encoding than the longest one are encoded like it, and the run is diagnosed as a whole. The encodings of segments are
+//! reported only if that is likelier.
 
-use super::split_run::Span;
-use super::{BaselineSegment, EncodingSpans, OtherSegment};
-use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding};
+use std::cell::LazyCell;
 
-/// Reports in `after`, the diagnosis of decoded poses, the encoding that they had.
-pub(super) fn keep_encoding(before: &PoseDiagnosis, after: &mut PoseDiagnosis) {
-    after.encoding.clone_from(&before.encoding);
-    after.is_inverted = before.is_inverted;
-    after.degrees = before.degrees;
-    after.length_unit.clone_from(&before.length_unit);
-    after.axes.clone_from(&before.axes);
-    after.constant_coordinates.clone_from(&before.constant_coordinates);
+use super::constant_frames_suffice;
+use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
+use super::patches::{decoded_poses, with_poses};
+use super::split_run::{Span, SplitRun};
+use super::{ChangePoint, EncodingSpans, JointChange, JointPatch};
+use crate::arm_run::ArmRun;
+use crate::joints::follows_as_logged;
+use crate::latency::compensation::with_tracks;
+use crate::latency::correlation::stream_lag_s;
+use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
+use crate::selection::evidence::log_bayes_factor;
+use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream};
+use ground::stats::Measured;
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+
+/// Maximum residual of a segment, relative to the longest one's, and its floor.
+const MAX_RESIDUAL_RATIO: f64 = 4.0;
+const RESIDUAL_FLOOR_M: f64 = 1e-3;
+/// Maximum residual of the longest segment, relative to the whole run's. A larger one is not due to a change.
+const MAX_LONGEST_SHARE: f64 = 0.97;
+
+/// Diagnoses the run with all segments encoded alike, by `diagnose`, and reports the encodings. `constant` is the
+/// diagnosis with one encoding. `None` if that is likelier.
+pub(crate) fn diagnose_with_encoding_changes(
+    run: &ArmRun,
+    constant: &ArmDiagnosis,
+    diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
+) -> Option<ArmDiagnosis> {
+    if !constant.streams.iter().any(has_slow_residual) {
+        return None;
+    }
+    let lag_s = |(stream, found): (&PoseStream, &PoseDiagnosis)| match &found.latency_s {
+        // Its latency is arbitrary.
+        _ if found.is_far_from_fk() => 0.0,
+        Ok(latency) => latency.value,
+        Err(_) => stream_lag_s(run.joints, stream, run.max_lag_s),
+    };
+    let lags: Vec<f64> = run.streams.iter().zip(&constant.streams).map(lag_s).collect();
+    let run = SplitRun { arm: *run, lags: &lags };
+    diagnose_with_jumps(&run, &run.recorded_jumps(), constant, &diagnose)
 }
 
-impl BaselineSegment {
-    /// If an encoding differs between segments, reports the one not as logged, with its time span.
-    pub(super) fn report_encoding(
-        &self,
-        s: usize,
-        others: &[OtherSegment],
-        after: &mut PoseDiagnosis,
-    ) {
-        let baseline = &self.diagnosis.streams[s];
-        let first = others.iter().find(|other| self.has_other_encoding(s, other));
-        let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
-            let is_different = |other: &&OtherSegment| !is_same(baseline, &other.alone.streams[s]);
-            let first = &first.filter(is_different)?.alone.streams[s];
-            if !is_as_logged(baseline) {
-                return Some((baseline, self.span));
+/// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run
+/// itself then needs no search for an encoding that fits all of it. It is split at gaps, or also at jumps of the
+/// recorded numbers.
+pub(crate) fn diagnose_with_recorded_encoding_changes(
+    arm: &ArmRun,
+    diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
+) -> Option<ArmDiagnosis> {
+    let lags = vec![0.0; arm.streams.len()];
+    let run = SplitRun { arm: *arm, lags: &lags };
+    // `None` if the motion determines it for no stream.
+    let all_follow = |span: &Span| {
+        let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
+        let streams = run.with_tracks(&tracks);
+        let known = streams.iter().filter_map(|stream| follows_as_logged(&joints, stream));
+        known.reduce(|all, one| all && one)
+    };
+    let whole = all_follow(&(f64::NEG_INFINITY, f64::INFINITY));
+    let as_logged = LazyCell::new(|| arm.diagnose_as_logged());
+    let is_explained = |after: &ArmDiagnosis| {
+        constant_frames_suffice(after) || !after.streams.iter().any(has_slow_residual)
+    };
+    let mut attempts = vec![run.recorded_gaps(), run.recorded_jumps()];
+    attempts.dedup_by_key(|jumps| run.split_at(jumps));
+    attempts.into_iter().find_map(|jumps| {
+        let parts: Vec<Option<bool>> = run.split_at(&jumps).iter().map(all_follow).collect();
+        let differs = whole == Some(false) || parts.contains(&Some(false));
+        if parts.len() < 2 || !parts.contains(&Some(true)) || !differs {
+            return None;
+        }
+        diagnose_with_jumps(&run, &jumps, &as_logged, &diagnose).filter(is_explained)
+    })
+}
+
+impl SplitRun<'_> {
+    fn recorded_gaps(&self) -> Vec<Jump> {
+        let of_stream = |(stream, lag_s): (&PoseStream, &f64)| {
+            let gaps = gaps(&stream.track.t_s).into_iter();
+            gaps.map(|gap| Jump { at_s: gap.at_s - lag_s, ..gap }).collect::<Vec<_>>()
+        };
+        let of_streams = self.arm.streams.iter().zip(self.lags).flat_map(of_stream);
+        strongest(of_streams.chain(gaps(&self.arm.joints.t_s)).collect())
+    }
+
+    /// Jumps of the recorded numbers, and gaps.
+    fn recorded_jumps(&self) -> Vec<Jump> {
+        let joints = self.arm.joints;
+        let of_stream = |(stream, lag_s): (&PoseStream, &f64)| {
+            let jumps = jumps_in_logged_path(joints, stream).into_iter();
+            jumps.map(|jump| Jump { at_s: jump.at_s - lag_s, ..jump }).collect::<Vec<_>>()
+        };
+        let of_streams = self.arm.streams.iter().zip(self.lags).flat_map(of_stream);
+        strongest(of_streams.chain(jumps_in_joints(joints)).chain(self.recorded_gaps()).collect())
+    }
+}
+
+fn diagnose_with_jumps(
+    run: &SplitRun,
+    jumps: &[Jump],
+    constant: &ArmDiagnosis,
+    diagnose: &impl Fn(&ArmRun) -> ArmDiagnosis,
+) -> Option<ArmDiagnosis> {
+    let segments = Segments::diagnose(run, &run.split_at(jumps), residual_m(constant))?;
+    let EncodedAlike { joints, patches, tracks } = segments.encoded_alike(run)?;
+    let streams = with_tracks(run.arm.streams, &tracks);
+    let mut after = diagnose(&ArmRun { joints: &joints, streams: &streams, ..run.arm });
+    for (s, (after, stream)) in after.streams.iter_mut().zip(run.arm.streams).enumerate() {
+        if tracks[s].is_some() {
+            segments.report_encoding(s, after);
+        }
+        if tracks[s].is_some() || !patches.is_empty() {
+            restore_recorded(run.arm.joints, stream, after);
+        }
+    }
+    after.joints.changes.extend(segments.factor_changes(jumps, run.arm.joints.dof));
+    after.joints.patches.splice(0..0, patches);
+    after.joints.partial_encoding = segments.partial_joint_encoding();
+    (log_bayes_factor(&after, constant) > 0.0).then_some(after)
+}
+
+struct Segment {
+    span: Span,
+    /// Diagnosis of the segment alone.
+    found: ArmDiagnosis,
+}
+
+struct Segments {
+    longest: Segment,
+    /// In order of time.
+    others: Vec<Segment>,
+}
+
+/// The run in the encodings of its longest segment.
+struct EncodedAlike {
+    joints: JointTrack,
+    patches: Vec<JointPatch>,
+    /// Decoded poses of the streams whose encoding changes.
+    tracks: Vec<Option<PoseTrack>>,
+}
+
+impl Segments {
+    /// Diagnoses the segments. One that is not explained is merged with the one before it. `None` if that is not
+    /// explained either, or the longest is not explained better than the run.
+    fn diagnose(run: &SplitRun, spans: &[Span], residual_of_run_m: f64) -> Option<Self> {
+        let longest = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
+        let diagnose = |span: Span| Segment { span, found: run.diagnose(span).1 };
+        let longest = (spans.len() > 1).then(|| diagnose(spans[longest]))?;
+        let residual = residual_m(&longest.found);
+        let is_far = longest.found.streams.iter().all(PoseDiagnosis::is_far_from_fk);
+        if is_far || residual > MAX_LONGEST_SHARE * residual_of_run_m {
+            return None;
+        }
+        let max_residual_m = (MAX_RESIDUAL_RATIO * residual).max(RESIDUAL_FLOOR_M);
+        let explained = |span: Span| {
+            let segment = diagnose(span);
+            let is_explained = residual_m(&segment.found) <= max_residual_m;
+            (is_explained && longest.is_comparable(&segment)).then_some(segment)
+        };
+        let mut others: Vec<Segment> = Vec::new();
+        for &span in spans.iter().filter(|span| **span != longest.span) {
+            let segment = match explained(span) {
+                Some(segment) => segment,
+                None => {
+                    let before = others.pop_if(|before| before.span.1 == span.0)?;
+                    explained((before.span.0, span.1))?
+                }
+            };
+            others.push(segment);
+        }
+        Some(Self { longest, others })
+    }
+
+    /// `None` if no encoding changes.
+    fn encoded_alike(&self, run: &SplitRun) -> Option<EncodedAlike> {
+        let mut joints = run.arm.joints.clone();
+        let patches: Vec<JointPatch> =
+            self.others.iter().flat_map(|other| self.longest.patches(other, run)).collect();
+        patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
+        let track = |s: usize| {
+            let changes = self.others.iter().any(|other| self.longest.has_other_encoding(s, other));
+            changes.then(|| self.decoded_track(s))
+        };
+        let tracks: Vec<Option<PoseTrack>> = (0..run.arm.streams.len()).map(track).collect();
+        let is_changed = !patches.is_empty() || tracks.iter().any(Option::is_some);
+        is_changed.then_some(EncodedAlike { joints, patches, tracks })
+    }
+
+    fn all(&self) -> Vec<&Segment> {
+        let mut all: Vec<&Segment> = self.others.iter().chain([&self.longest]).collect();
+        all.sort_by(|a, b| a.span.0.total_cmp(&b.span.0));
+        all
+    }
+
+    fn decoded_track(&self, s: usize) -> PoseTrack {
+        let decoded = |segment: &Segment| {
+            let found = &segment.found.streams[s];
+            with_poses(found, decoded_poses(found))
+        };
+        let mut segments = self.all().into_iter().map(decoded);
+        let first = segments.next().unwrap_or_else(|| decoded(&self.longest));
+        segments.fold(first, |mut all, segment| {
+            all.t_s.extend(segment.t_s);
+            all.xyz.extend(segment.xyz);
+            if let (Orientations::Rotations(all), Orientations::Rotations(segment)) =
+                (&mut all.orientation, segment.orientation)
+            {
+                all.extend(segment);
             }
-            let same = others.iter().filter(|other| is_same(first, &other.alone.streams[s]));
+            all
+        })
+    }
+
+    /// If an encoding differs between segments, reports the one not as logged, with its time span.
+    fn report_encoding(&self, s: usize, after: &mut PoseDiagnosis) {
+        let longest = &self.longest.found.streams[s];
+        let first = self.others.iter().find(|other| self.longest.has_other_encoding(s, other));
+        let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+            let is_different = |other: &&Segment| !is_same(longest, &other.found.streams[s]);
+            let first = &first.filter(is_different)?.found.streams[s];
+            if !is_as_logged(longest) {
+                return Some((longest, self.longest.span));
+            }
+            let same = self.others.iter().filter(|other| is_same(first, &other.found.streams[s]));
             same.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (first, span))
         };
         let rotation = component(is_same_rotation, is_rotation_as_logged);
@@ -41,47 +240,156 @@ impl BaselineSegment {
         let axes = component(is_same_axes, |diagnosis| !matches!(diagnosis.axes, Ok(Some(_))));
         let [of_rotation, of_degrees, of_length, of_axes] =
             [rotation, degrees, length, axes].map(|component: Option<(&PoseDiagnosis, Span)>| {
-                component.map_or(baseline, |(diagnosis, _)| diagnosis)
+                component.map_or(longest, |(diagnosis, _)| diagnosis)
             });
         after.encoding.clone_from(&of_rotation.encoding);
         after.is_inverted = of_rotation.is_inverted;
         after.degrees = of_degrees.degrees;
         after.length_unit.clone_from(&of_length.length_unit);
         after.axes.clone_from(&of_axes.axes);
-        after.constant_coordinates.clone_from(&baseline.constant_coordinates);
+        after.constant_coordinates.clone_from(&longest.constant_coordinates);
         let [rotation, degrees, length, axes] =
             [rotation, degrees, length, axes].map(|component| component.map(|(_, span)| span));
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
     }
 
-    /// The baseline's joint diagnosis with the unit of angles and the order of another segment, if known.
-    pub(super) fn joints_in_encoding_of(&self, own: &ArmDiagnosis) -> JointDiagnosis {
-        let mut joints = self.diagnosis.joints.clone();
-        if let (Ok(encoding), Ok(own)) = (&mut joints.encoding, &own.joints.encoding) {
-            encoding.degrees = own.degrees;
-            encoding.permutation.clone_from(&own.permutation);
-        }
-        joints
-    }
-
     /// Encoding and span of the segments whose joints are in degrees or in another order, if others are not.
-    pub(super) fn partial_joint_encoding(
-        &self,
-        others: &[OtherSegment],
-    ) -> Option<(JointEncoding, Span)> {
-        let own = std::iter::once((self.span, &self.diagnosis));
-        let others = others.iter().map(|other| (other.span, &other.alone));
-        let known = own
-            .chain(others)
-            .filter_map(|(span, diagnosis)| Some((span, diagnosis.joints.encoding.as_ref().ok()?)));
+    fn partial_joint_encoding(&self) -> Option<(JointEncoding, Span)> {
+        let encoding = |segment: &'_ Segment| segment.found.joints.encoding.clone().ok();
+        let all = self.all();
+        let known = all.iter().filter_map(|segment| Some((segment.span, encoding(segment)?)));
         let (wrong, right): (Vec<_>, Vec<_>) = known.partition(|(_, encoding)| {
             encoding.degrees.is_some() || encoding.permutation.is_some()
         });
-        let &(_, encoding) = wrong.first().filter(|_| !right.is_empty())?;
+        let (_, encoding) = wrong.first().filter(|_| !right.is_empty())?;
         let ends = wrong.iter().map(|(span, _)| *span);
         let span = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         Some((encoding.clone(), span))
     }
+
+    /// Changes of joint scales between segments.
+    fn factor_changes(&self, jumps: &[Jump], dof: usize) -> Vec<JointChange> {
+        let change = |pair: &[&Segment], column: usize| {
+            let jump = jumps.iter().find(|jump| jump.at_s == pair[1].span.0)?;
+            let factors = [pair[0], pair[1]].map(|segment| segment.factor(column));
+            let [from, to] = factors.map(|factor| factor.map_or(1.0, |factor| factor.value));
+            let std_error =
+                factors.iter().flatten().fold(0.0_f64, |sum, it| sum.hypot(it.std_error));
+            let surest = factors[1].or(factors[0])?;
+            let size = Measured { value: to - from, std_error, ..surest };
+            let is_same = size.value.abs() < 4.0 * std_error + 1e-5;
+            let (at_s, within_s) = (jump.at_s, jump.within_s);
+            let factor = ChangePoint { at_s, within_s, is_gradual: false, from, to, size };
+            (!is_same).then_some(JointChange { column, zero: None, factor: Some(factor) })
+        };
+        let all = self.all();
+        let changes =
+            all.windows(2).flat_map(|pair| (0..dof).filter_map(|column| change(pair, column)));
+        changes.collect()
+    }
+}
+
+impl Segment {
+    /// Whether each encoding of the other segment is determined, or the same.
+    fn is_comparable(&self, other: &Segment) -> bool {
+        let mut streams = self.found.streams.iter().zip(&other.found.streams);
+        streams.all(|(own, other)| {
+            let is_determined =
+                other.encoding.as_ref().is_ok_and(|encoding| encoding.is_determined);
+            is_determined || is_same_encoding(own, other)
+        })
+    }
+
+    fn has_other_encoding(&self, s: usize, other: &Segment) -> bool {
+        let (own, other) = (&self.found.streams[s], &other.found.streams[s]);
+        let are_determined = own.encoding.is_ok()
+            && other.encoding.as_ref().is_ok_and(|encoding| encoding.is_determined);
+        are_determined && !is_same_encoding(own, other)
+    }
+
+    /// Scale of a joint, if it is not 1.
+    fn factor(&self, column: usize) -> Option<Measured> {
+        let scales = &self.found.joints.scales;
+        scales.iter().find(|scale| scale.column == column).map(|scale| scale.factor)
+    }
+
+    /// Corrections that put the joints of another segment into this one's encoding.
+    fn patches(&self, other: &Segment, run: &SplitRun) -> Vec<JointPatch> {
+        let (from_s, to_s) = other.span;
+        let unchanged =
+            JointPatch { column: 0, exchanged_with: None, from_s, to_s, factor: 1.0, offset: 0.0 };
+        let (own, other) = (&self.found.joints, &other.found.joints);
+        let exchanges = exchanges(own, other, run.arm.joints.dof);
+        let exchanged =
+            |(column, other)| JointPatch { column, exchanged_with: Some(other), ..unchanged };
+        let mapped = |(column, factor, offset)| JointPatch { column, factor, offset, ..unchanged };
+        let maps = joint_map(own, other, run).into_iter().map(mapped);
+        exchanges.into_iter().map(exchanged).chain(maps).collect()
+    }
+}
+
+/// The joint under each joint's name.
+fn joint_order(diagnosis: &JointDiagnosis, dof: usize) -> Vec<usize> {
+    let permutation =
+        diagnosis.encoding.as_ref().ok().and_then(|encoding| encoding.permutation.as_ref());
+    permutation.map_or_else(|| (0..dof).collect(), |(order, _)| order.clone())
+}
+
+/// Exchanges of two columns, one after another, that put the joints of `other` into the order of `own`.
+fn exchanges(own: &JointDiagnosis, other: &JointDiagnosis, dof: usize) -> Vec<(usize, usize)> {
+    let (wanted, mut order) = (joint_order(own, dof), joint_order(other, dof));
+    let mut exchanges = Vec::new();
+    for (column, joint) in wanted.into_iter().enumerate() {
+        let at = order.iter().position(|one| *one == joint).filter(|at| *at != column);
+        if let Some(at) = at {
+            order.swap(column, at);
+            exchanges.push((column, at));
+        }
+    }
+    exchanges
+}
+
+/// Column, factor and offset that map joints of `other` to the encoding of `own`, from two test positions, after
+/// [`exchanges`]. Empty if an encoding is undetermined.
+fn joint_map(
+    own: &JointDiagnosis,
+    other: &JointDiagnosis,
+    run: &SplitRun,
+) -> Vec<(usize, f64, f64)> {
+    if own.encoding.is_err() || other.encoding.is_err() {
+        return Vec::new();
+    }
+    let dof = run.arm.joints.dof;
+    let order = joint_order(own, dof);
+    let probe = JointTrack {
+        t_s: vec![0.0, 1.0],
+        dof,
+        q: [vec![0.0; dof], vec![1.0; dof]].concat(),
+        qd: vec![0.0; 2 * dof],
+        noise: Vec::new(),
+    };
+    // Zeros are no encoding.
+    let decoded = |joints: &JointDiagnosis| {
+        let encoding = joints.encoding.clone();
+        let scales = joints.scales.clone();
+        JointDiagnosis::without_changes(encoding, own.offsets.clone(), scales)
+            .corrected_joints(&probe, run.arm.is_prismatic)
+    };
+    let (by_own, by_other) = (decoded(own), decoded(other));
+    let map = |column: usize| {
+        let at = |row: usize| {
+            let at = row * dof + order[column];
+            (by_own.q[at], by_other.q[at])
+        };
+        let ((zero, zero_other), (one, one_other)) = (at(0), at(1));
+        let factor = one - zero;
+        (column, (one_other - zero_other) / factor, (zero_other - zero) / factor)
+    };
+    let is_changed = |&(_, factor, offset): &(usize, f64, f64)| {
+        let is_identity = (factor - 1.0).abs() < 1e-12 && offset.abs() < 1e-12;
+        factor.is_finite() && offset.is_finite() && !is_identity
+    };
+    (0..dof).map(map).filter(is_changed).collect()
 }
 
 type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
@@ -110,7 +418,7 @@ fn is_same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     of(a) == of(b)
 }
 
-pub(super) fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     let all: [EncodingComparison; 4] =
         [is_same_rotation, is_same_angle_unit, is_same_length_unit, is_same_axes];
     all.into_iter().all(|same| same(a, b))

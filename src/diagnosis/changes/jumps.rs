@@ -1,21 +1,17 @@
-//! Detects change points: jumps of a stream relative to the arm that motion and noise do not explain.
+//! Jumps of recorded numbers that motion and noise do not explain, and gaps.
 
+use crate::PoseStream;
 use crate::latency::correlation::median_period_s;
 use crate::residuals::residual_check::align_with_fk;
-use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use ground::stats::{median, quantile};
+use ground::stats::quantile;
 use ground::stream::JointTrack;
 
-/// On either side, in samples. A jump within the noise needs more than one.
-const WINDOW_SAMPLES: [usize; 3] = [1, 5, 25];
-/// To the variation that the motion explains.
+/// To the usual variation.
 const MIN_JUMP_RATIO: f64 = 6.0;
 const MAX_CHANGE_POINTS: usize = 8;
 /// Relative to the strongest.
 const MIN_RELATIVE_STRENGTH: f64 = 0.2;
-/// Share of the longer window's strength; the shorter window then dates the jump.
-const MIN_SHORT_WINDOW_STRENGTH: f64 = 0.3;
 const MIN_SEPARATION_S: f64 = 0.5;
 /// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
@@ -26,39 +22,8 @@ pub(super) struct Jump {
     pub at_s: f64,
     /// Half their interval.
     pub within_s: f64,
-    /// Ratio to the explained variation; infinite for a gap.
+    /// Ratio to the usual variation; infinite for a gap.
     pub strength: f64,
-    /// Averaging window on either side.
-    pub window_s: f64,
-}
-
-/// Uses the residual in `aligned` and the raw error against FK at `lag_s`.
-pub(super) fn detect_jumps(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    aligned: &AlignedSamples,
-    lag_s: f64,
-) -> Vec<Jump> {
-    let pairs = aligned.corrected.iter().zip(&aligned.fk_at_truth);
-    let in_base = |(is, fk): (&Pose, &Pose)| {
-        let rotation = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-        [is.translation.vector - fk.translation.vector, rotation * LEVER_M]
-    };
-    let pairs: Vec<[Vec3; 2]> = pairs.map(in_base).collect();
-    let mut jumps = jumps_in_series(&aligned.t_s, &pairs, &aligned.fk_at_truth);
-    let raw = align_with_fk(joints, stream, lag_s);
-    let rotation = |pose: &Pose| [pose.rotation * Vec3::x(), pose.rotation * Vec3::y()];
-    let in_tool: Vec<Pose> =
-        raw.fk.iter().zip(&raw.logged).map(|(fk, logged)| fk.inv_mul(logged)).collect();
-    let at: Vec<[Vec3; 2]> =
-        in_tool.iter().map(|pose| [pose.translation.vector, Vec3::zeros()]).collect();
-    let turned: Vec<[Vec3; 2]> =
-        in_tool.iter().map(|pose| rotation(pose).map(|axis| axis * LEVER_M)).collect();
-    jumps.extend(jumps_in_series(&raw.t_s, &at, &raw.fk));
-    jumps.extend(jumps_in_series(&raw.t_s, &turned, &raw.fk));
-    jumps.extend(jumps_in_path(&raw.t_s, &raw.logged));
-    jumps.extend(gaps(&stream.track.t_s));
-    strongest(jumps)
 }
 
 /// [`jumps_in_path`] of the logged poses.
@@ -119,7 +84,6 @@ fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
             at_s: 0.5 * (before_s + after_s),
             within_s: 0.5 * (after_s - before_s),
             strength: times,
-            window_s: 0.0,
         })
     };
     sizes.into_iter().enumerate().filter_map(jump).collect()
@@ -145,21 +109,12 @@ pub(super) fn gaps(t_s: &[f64]) -> Vec<Jump> {
         at_s: from_s + 0.5 * long_s,
         within_s: 0.5 * long_s,
         strength: f64::INFINITY,
-        window_s: 0.0,
     };
     gaps.into_iter().take(MAX_GAPS).map(jump).collect()
 }
 
 /// Jumps in time order, at least [`MIN_SEPARATION_S`] apart.
-pub(super) fn strongest(jumps: Vec<Jump>) -> Vec<Jump> {
-    let finer = |jump: &Jump| {
-        jumps.iter().any(|other| {
-            other.window_s < jump.window_s
-                && (other.at_s - jump.at_s).abs() <= jump.window_s
-                && other.strength > MIN_SHORT_WINDOW_STRENGTH * jump.strength
-        })
-    };
-    let mut jumps: Vec<Jump> = jumps.iter().filter(|jump| !finer(jump)).copied().collect();
+pub(super) fn strongest(mut jumps: Vec<Jump>) -> Vec<Jump> {
     jumps.sort_by(|a, b| b.strength.total_cmp(&a.strength));
     let largest = jumps.iter().find(|jump| jump.strength.is_finite());
     let min_strength = MIN_RELATIVE_STRENGTH * largest.map_or(0.0, |jump| jump.strength);
@@ -173,65 +128,4 @@ pub(super) fn strongest(jumps: Vec<Jump>) -> Vec<Jump> {
     }
     separated.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     separated
-}
-
-fn jumps_in_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {
-    WINDOW_SAMPLES.into_iter().flat_map(|side| jumps_between_means(t_s, series, fk, side)).collect()
-}
-
-/// Compares means over `side` samples before and after.
-fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
-    let n = series.len();
-    if n < 4 * side + 20 {
-        return Vec::new();
-    }
-    let mut sums = vec![[Vec3::zeros(); 2]; n + 1];
-    for (row, value) in series.iter().enumerate() {
-        sums[row + 1] = std::array::from_fn(|kind| sums[row][kind] + value[kind]);
-    }
-    let mean = |from: usize, to: usize| -> [Vec3; 2] {
-        std::array::from_fn(|kind| (sums[to][kind] - sums[from][kind]) / (to - from) as f64)
-    };
-    let distance = |a: [Vec3; 2], b: [Vec3; 2]| {
-        a.iter().zip(&b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
-    };
-    // The jump is between samples `row - 1` and `row`.
-    let rows: Vec<usize> = (side..=n - side).filter(|row| *row < n).collect();
-    let step = |row: usize| distance(mean(row - side, row), mean(row, row + side));
-    let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
-    let moved = |row: usize| {
-        let (a, b) = (&fk[row - side], &fk[row + side - 1]);
-        let rotation = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * LEVER_M;
-        (a.translation.vector - b.translation.vector).norm() + rotation.norm()
-    };
-    let moves: Vec<f64> = rows.iter().map(|&row| moved(row)).collect();
-    let Some(usual) = median(&mut moves.clone()) else { return Vec::new() };
-    let still = steps.iter().zip(&moves).filter(|(_, moved)| **moved <= usual);
-    let mut still: Vec<f64> = still.map(|(step, _)| *step).collect();
-    let fast = steps.iter().zip(&moves).filter(|(_, moved)| **moved > usual.max(1e-9));
-    let mut slopes: Vec<f64> = fast.map(|(step, moved)| step / moved).collect();
-    let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
-        return Vec::new();
-    };
-    const FLOOR_M: f64 = 1e-5;
-    let jump = |(index, &row): (usize, &usize)| {
-        let usual = still + slope * moves[index] + FLOOR_M;
-        if steps[index] <= MIN_JUMP_RATIO * usual {
-            return None;
-        }
-        // A fast residual also varies before and after the jump.
-        let before = (2..=6).filter_map(|by| steps.get(index.checked_sub(by * side)?).copied());
-        let after = (2..=6).filter_map(|by| steps.get(index + by * side).copied());
-        let [before, after] = [before.collect(), after.collect()]
-            .map(|mut surrounding: Vec<f64>| median(&mut surrounding).unwrap_or(0.0));
-        let usual = usual.max(before.min(after));
-        let times = steps[index] / usual;
-        (times > MIN_JUMP_RATIO).then(|| Jump {
-            at_s: 0.5 * (t_s[row - 1] + t_s[row]),
-            within_s: 0.5 * (t_s[row] - t_s[row - 1]),
-            strength: times,
-            window_s: t_s[row + side - 1] - t_s[row],
-        })
-    };
-    rows.iter().enumerate().filter_map(jump).collect()
 }

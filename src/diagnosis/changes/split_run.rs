@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::jumps::{Jump, detect_jumps, strongest};
+use super::jumps::Jump;
 use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_stamps;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
@@ -31,17 +31,6 @@ pub(super) fn set_velocity(joints: &mut JointTrack, column: usize, row: usize, n
 }
 
 impl SplitRun<'_> {
-    /// Times are on the joint states' clock.
-    pub fn change_points(&self, diagnosis: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
-        let of_stream = |s: usize| {
-            let aligned = &diagnosis.streams[s].aligned;
-            let jumps = detect_jumps(self.arm.joints, &self.arm.streams[s], aligned, self.lags[s])
-                .into_iter();
-            jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
-        };
-        strongest((0..self.arm.streams.len()).flat_map(of_stream).chain(of_joints).collect())
-    }
-
     /// Segments between jumps. Of the two jumps that bound a segment with too few samples, drops the weaker.
     pub fn split_at(&self, jumps: &[Jump]) -> Vec<Span> {
         let mut jumps = jumps.to_vec();

@@ -247,7 +247,6 @@ fn likeliest_step<'a>(
         at_s: 0.5 * (t_s(sample - 1) + t_s(sample)),
         within_s: 0.5 * (t_s(*last) - t_s(first - 1)),
         strength: gain / (test.price * (columns.len() + 1) as f64),
-        window_s: 0.0,
     };
     Some((StepOrDrift { step: Some(step), columns }, score))
 }

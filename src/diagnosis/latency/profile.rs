@@ -88,22 +88,6 @@ fn largest(steps: &[LatencyStep]) -> Option<Measured> {
 }
 
 impl LatencyProfile {
-    /// Profile with steps between `levels`. `None` without a step.
-    pub(crate) fn from_steps(
-        jumps: Vec<LatencyStep>,
-        levels: Vec<(f64, f64)>,
-        windows: Vec<(f64, Measured)>,
-    ) -> Option<Self> {
-        Some(Self {
-            swing_s: largest(&jumps)?,
-            is_unsteady: true,
-            shape: LatencyShape::Steps,
-            steps: jumps,
-            levels,
-            windows,
-        })
-    }
-
     fn from_fit(fit: &Fit, windows: &[Window]) -> Self {
         let (levels_s, covariance) = (&fit.levels_s, fit.covariance());
         // Sizes are differences of levels.
@@ -167,36 +151,6 @@ impl LatencyProfile {
                 profile(LatencyShape::WithLoad, slope.scaled(max - min), levels.collect())
             }
         }
-    }
-
-    /// Adds steps that were estimated after compensating those of this profile. They refine steps at the same time.
-    /// `None` if this profile has no steps.
-    pub(crate) fn with_further_steps(self, further: &Self) -> Option<Self> {
-        /// In addition to the compensation, which shifts the stamps.
-        const MAX_TIME_DIFFERENCE_S: f64 = 0.5;
-        let mut steps = Some(self.steps).filter(|steps| !steps.is_empty())?;
-        for step in &further.steps {
-            let is_same = |own: &&mut LatencyStep| {
-                let shift_s = own.size_s.value.abs() + MAX_TIME_DIFFERENCE_S;
-                (own.at_s - step.at_s).abs() < shift_s
-            };
-            match steps.iter_mut().find(is_same) {
-                Some(own) => {
-                    let value = own.size_s.value + step.size_s.value;
-                    own.size_s = Measured { value, ..step.size_s };
-                }
-                None => steps.push(*step),
-            }
-        }
-        steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let (start_s, first_s) = *self.levels.first()?;
-        let mut level_s = first_s + further.levels.first()?.1;
-        let mut levels = vec![(start_s, level_s)];
-        levels.extend(steps.iter().map(|step| {
-            level_s += step.size_s.value;
-            (step.at_s, level_s)
-        }));
-        Self::from_steps(steps, levels, self.windows)
     }
 
     /// Stamps compensated for the deviation from the median level, each with its row. Drops rows that would

@@ -43,13 +43,6 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
 }
 
-pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
-    diagnosis
-        .latency_profile
-        .as_ref()
-        .is_ok_and(|profile| profile.is_unsteady && !profile.steps.is_empty())
-}
-
 /// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
 pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
     let of_stream = |diagnosis: &PoseDiagnosis| match (&diagnosis.residual, &diagnosis.encoding) {

@@ -1,0 +1,69 @@
+//! Corrections of joint states in a part of the run, and decoded poses.
+
+use std::ops::Range;
+
+use super::JointPatch;
+use super::split_run::set_velocity;
+use crate::PoseDiagnosis;
+use ground::geometry::Pose;
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+
+impl JointPatch {
+    /// Maps the joint's positions to the baseline segment.
+    pub(crate) fn apply(&self, joints: &mut JointTrack) {
+        let dof = joints.dof.max(1);
+        let rows = self.rows(&joints.t_s);
+        for row in rows.clone() {
+            let at = row * dof + self.column;
+            if let Some(other) = self.exchanged_with {
+                let other = row * dof + other;
+                joints.q.swap(at, other);
+                joints.qd.swap(at, other);
+            }
+            self.apply_to_value(&mut joints.q[at], &mut joints.qd[at]);
+        }
+        for edge in [rows.start, rows.end].into_iter().filter(|edge| *edge > 1) {
+            for column in std::iter::once(self.column).chain(self.exchanged_with) {
+                set_velocity(joints, column, edge - 1, edge - 2);
+                set_velocity(joints, column, edge, edge + 1);
+            }
+        }
+    }
+
+    /// The same for the joint's own samples.
+    pub fn apply_to_samples(&self, t_s: &[f64], position: &mut [f64], velocity: &mut [f64]) {
+        for row in self.rows(t_s) {
+            self.apply_to_value(&mut position[row], &mut velocity[row]);
+        }
+    }
+
+    /// Rows of the segment.
+    pub fn rows(&self, t_s: &[f64]) -> Range<usize> {
+        let [from, to] =
+            [self.from_s, self.to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+        from..to
+    }
+
+    fn apply_to_value(&self, position: &mut f64, velocity: &mut f64) {
+        *position = self.factor * *position + self.offset;
+        *velocity *= self.factor;
+    }
+}
+
+/// Poses with only the encoding corrected: as logged, frame errors included.
+pub(super) fn decoded_poses(diagnosis: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
+    diagnosis.aligned.corrected.iter().map(|pose| diagnosis.frame_correction.invert(pose))
+}
+
+pub(super) fn with_poses(
+    diagnosis: &PoseDiagnosis,
+    poses: impl Iterator<Item = Pose>,
+) -> PoseTrack {
+    let (xyz, rotations): (Vec<_>, Vec<_>) =
+        poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+    let orientation = match &diagnosis.encoding {
+        Ok(_) => Orientations::Rotations(rotations),
+        Err(_) => Orientations::Unset(rotations.len()),
+    };
+    PoseTrack { t_s: diagnosis.aligned.t_s.clone(), xyz, orientation, declared: None }
+}
