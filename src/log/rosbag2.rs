@@ -158,12 +158,6 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let tables: Vec<PathBuf> = paths.iter().filter(|path| is_text_table(path)).cloned().collect();
     let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
     let runs = || LogError::Runs { path: folder.to_owned() };
-    if tables.is_empty()
-        && paths.is_empty()
-        && let Some(tables) = headerless_run(folder)
-    {
-        return Ok(tables.into_iter().map(LogInput::bag_file).collect());
-    }
     let is_of_tables = paths.iter().all(|path| tables.contains(path));
     if tables.len() > 1 && is_of_tables && recording_names(&tables).len() > 1 {
         return match have_different_columns(&tables) {
@@ -182,35 +176,6 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
 
 fn recording_names(paths: &[PathBuf]) -> BTreeSet<&str> {
     paths.iter().map(|path| recording_name(path)).collect()
-}
-
-/// Text tables of `folder` without column names, if their file names name signals and their times show one run.
-fn headerless_run(folder: &Path) -> Option<Vec<PathBuf>> {
-    let without_digits = |path: &Path| -> String {
-        recording_name(path).chars().filter(|c| !c.is_ascii_digit()).collect()
-    };
-    let mut tables: Vec<(PathBuf, [f64; 3])> = Vec::new();
-    for path in files_in(folder).ok()? {
-        if let Some(times) = headerless_times(&path) {
-            tables.push((path, times));
-        }
-    }
-    let [(_, first), _, ..] = tables.as_slice() else { return None };
-    let [start, step, end] = *first;
-    let is_of_run =
-        |times: &[f64; 3]| (times[0] - start).abs() < step && (times[2] - end).abs() < step;
-    let names: BTreeSet<String> = tables.iter().map(|(path, _)| without_digits(path)).collect();
-    let is_run = names.len() == tables.len() && tables.iter().all(|(_, times)| is_of_run(times));
-    is_run.then(|| tables.into_iter().map(|(path, _)| path).collect())
-}
-
-/// First time, step to the second row, and last time of a text table without column names.
-fn headerless_times(path: &Path) -> Option<[f64; 3]> {
-    let mapped = MappedFile::open(path).ok()?;
-    match file_format::detect_format(mapped.bytes()) {
-        FileFormat::Table(TableFormat::Csv) => tables::headerless_times(mapped.bytes()),
-        _ => None,
-    }
 }
 
 /// Text tables of one run have one signal each; runs have the same columns.

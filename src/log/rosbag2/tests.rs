@@ -370,30 +370,6 @@ fn a_folder_without_metadata_is_read_if_it_is_one_recording() {
 }
 
 #[test]
-fn tables_without_column_names_are_one_run_if_their_times_agree() {
-    let folder = folder();
-    let table = |name: &str, shift_s: f64, rows: usize| {
-        let row = |row: usize| {
-            // Every third row is lost.
-            let t_s = 0.05 + 0.008 * (row + row / 2) as f64 + shift_s;
-            let numbers: Vec<String> = (0..6)
-                .map(|joint| format!("{:.6}", (0.7 * t_s + f64::from(joint)).sin()))
-                .collect();
-            format!("{t_s:.6}, {}\n", numbers.join(", "))
-        };
-        fs::write(folder.path().join(name), (0..rows).map(row).collect::<String>()).unwrap();
-    };
-    table("log_q_actual.csv", 0.0, 400);
-    table("log_tool_vector.csv", 2e-5, 400);
-    let log = read(folder.path());
-    assert_eq!(log.files.len(), 2, "{:?}", log.notes);
-    assert!(log.topics.iter().any(|topic| topic.name.contains("q_actual")), "{:?}", log.topics);
-    table("log_tool_acc.csv", 0.0, 300);
-    let error = try_read(folder.path()).unwrap_err().to_string();
-    assert!(error.contains("without log files") || error.contains("several runs"), "{error}");
-}
-
-#[test]
 fn a_broken_metadata_file_is_damage_to_the_index() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);
