@@ -91,9 +91,9 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
                         < least_errors[usize::from(joint.is_prismatic)] =>
             {
                 Outcome::Inconclusive(format!(
-                    "error {} of a rate of only {:.4} {} rms, no more than the other joints' in {2}; {SETTLE}",
+                    "error {} of a rate of only {} {} rms, no more than the other joints' in {2}; {SETTLE}",
                     percent(found.error.value),
-                    found.rate,
+                    show_rate(found.rate),
                     per_second(arm, index),
                 ))
             }
@@ -185,6 +185,13 @@ fn percent(share: f64) -> String {
     format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
 }
 
+fn show_rate(rate: f64) -> String {
+    match rate {
+        slow if slow < 0.01 => format!("{slow:.4}"),
+        rate => format!("{rate:.2}"),
+    }
+}
+
 fn report_group(
     case: &Case,
     arm: &ArmEvidence,
@@ -228,8 +235,8 @@ fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (Stri
     match found.shape {
         VelocityShape::Zero => (
             format!(
-                "velocities are zero while the joint moves at {:.2} {} rms",
-                found.rate,
+                "velocities are zero while the joint moves at {} {} rms",
+                show_rate(found.rate),
                 per_second(arm, joint)
             ),
             "fill the velocities from the drive, or leave the field empty".to_owned(),
