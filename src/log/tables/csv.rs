@@ -19,8 +19,6 @@ const MAX_HEADER_LINES: usize = 200;
 /// Same limit as for RTDE tables.
 pub(super) const MAX_LINE_BYTES: usize = 1 << 20;
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
-/// End of a file that holds its last row.
-const MAX_TAIL_BYTES: usize = 1 << 16;
 /// In a row of a robot log.
 const MIN_CELLS: usize = 3;
 /// In a row with mostly empty cells: a time and the numbers of the smallest stream.
@@ -56,22 +54,6 @@ pub(crate) fn has_time(bytes: &[u8]) -> bool {
 pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
     let names = detect_layout(&with_single_numbers(bytes))?.names?;
     names.iter().any(|name| clock::is_time(name)).then_some(names)
-}
-
-/// First number of the first row, its step to the second row, and that of the last row, of a table without column
-/// names. `None` if it does not increase.
-pub(crate) fn headerless_times(bytes: &[u8]) -> Option<[f64; 3]> {
-    let text = text_encoding::to_utf8(bytes);
-    let layout = detect_layout(&text).filter(|layout| layout.names.is_none())?;
-    let first_number = |(_, _, line): (usize, usize, &[u8])| {
-        Some(number(cells(line, layout.delimiter).first()?, layout.delimiter))
-    };
-    let mut rows = lines(&text[layout.rows_at..]);
-    let first = rows.next().and_then(first_number)?;
-    let second = rows.next().and_then(first_number)?;
-    let tail = &text[text.len().saturating_sub(MAX_TAIL_BYTES).max(layout.rows_at)..];
-    let last = lines(tail).last().and_then(first_number)?;
-    (second > first && last > second).then_some([first, second - first, last])
 }
 
 /// The text in UTF-8, with a cell for each number of a list.

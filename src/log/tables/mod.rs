@@ -51,7 +51,7 @@ use ground::time::NANOS_PER_SECOND;
 pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning, RowLayout};
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
-pub(super) use self::csv::{column_names, has_time, headerless_times, is_table};
+pub(super) use self::csv::{column_names, has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
