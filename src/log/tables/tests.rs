@@ -266,7 +266,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
         assert_eq!(values[3 * 7], 40.0);
     }
     let ragged = parquet(50, 1, Compression::SNAPPY, |row| 6 + row % 2);
-    assert!(refusal(&ragged).contains("no numbers besides its times"), "{}", refusal(&ragged));
+    assert!(refusal(&ragged).contains("neither joint positions nor poses"), "{}", refusal(&ragged));
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn a_column_without_its_dictionary_is_lost() {
     bytes[5] = 2;
     // Only the times remain. The decoder of the crate panics on such a page.
     let line = refusal(&bytes);
-    assert!(line.contains("no numbers besides its times"), "{line}");
+    assert!(line.contains("neither joint positions nor poses"), "{line}");
 }
 
 #[test]
@@ -629,10 +629,10 @@ fn velocities_are_assigned_to_their_joints() {
 
 #[test]
 fn a_table_of_forces_is_refused_with_its_columns() {
-    let names = ["timestamp", "force_0", "force_1", "force_2", "scalar"];
+    let names = ["timestamp", "tcp_force_0", "tcp_force_1", "tcp_force_2", "tcp_force_scalar"];
     let text = csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64);
     let error = refusal(text.as_bytes());
-    assert!(error.contains("neither joint positions nor poses: force"), "{error}");
+    assert!(error.contains("neither joint positions nor poses: tcp_force_0"), "{error}");
 }
 
 /// Rows that were read too late are lost: 8 or 24 ms apart.
