@@ -492,7 +492,7 @@ mod tests {
         // Noise of two ticks, and two publishers that differ by one and a half.
         let noisy = |offset: f64| {
             move |row: usize| {
-                TICK_M * ((row / 6) as f64 + offset * (row % 2 * (1 + row / 3 % 2)) as f64)
+                TICK_M * ((row / 4) as f64 + offset * (row % 2 * (1 + row / 3 % 2)) as f64)
             }
         };
         let (whole, parted) = (poses("a", "b", 0, noisy(1.0)), poses("a", "b", 0, noisy(1.5)));

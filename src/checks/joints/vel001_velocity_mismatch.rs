@@ -415,7 +415,7 @@ mod tests {
         };
         for (rate, status) in [(0.009, Status::Inconclusive), (0.09, Status::Fail)] {
             let mut run = clean_run();
-            run.robots[0].joints[0].velocity = Some(Ok(found(0.0, 0.5)));
+            run.robots[0].joints.iter_mut().for_each(|it| it.velocity = Some(Ok(found(0.0, 0.5))));
             run.robots[0].joints[1].velocity = Some(Ok(found(0.06, rate)));
             let (rows, findings) = evaluate_rule(&VEL001, &run);
             let own = rows.iter().find(|row| row.subject.joint.as_deref() == Some("lift")).unwrap();
