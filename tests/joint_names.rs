@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use poseaudit::finding::Status;
 use poseaudit::report::{Report, Trouble, Verdict};
 use poseaudit::run::RunOptions;
-use poseaudit::synth::{Commands, Scenario, write_cell};
+use poseaudit::synth::{Commands, Motion, Noise, Scenario, write_cell};
 use poseaudit::{Options, audit};
 use tempfile::TempDir;
 
@@ -86,6 +86,18 @@ fn an_arm_is_matched_by_joint_order_and_the_evidence_is_listed() {
     assert!(source.contains("fits within") && source.contains("with a joint zero"), "{source}");
     let zero = report.findings.iter().find(|found| *found.code == *"ZER001").expect("the zero");
     assert_eq!(zero.subject.joint.as_deref(), Some("J3"));
+}
+
+/// At rest, free frames fit any arm within the rounding, and so does any joint order.
+#[test]
+fn an_arm_at_rest_is_identified_by_its_name_only_and_has_no_wrong_order() {
+    let mut run = ur5e("joint_");
+    (run.motion, run.noise) = (Motion::AtRest, Noise::NONE);
+    let report = audit_runs(&[run.clone()], RunOptions::default()).expect("a report");
+    let text = error_text(&report);
+    assert!(text.contains("does not distinguish") && text.contains("--robot"), "{text}");
+    let report = audit_runs(&[run], with_robot("ur5e")).expect("a report");
+    assert!(report.findings.is_empty(), "{:?}", report.findings);
 }
 
 #[test]

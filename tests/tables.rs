@@ -313,6 +313,39 @@ fn the_delay_of_a_tool_behind_its_command_is_noted_without_an_arm() {
     }
 }
 
+/// A poll before the source's next value repeats a row, and the following one holds two steps.
+#[test]
+fn rows_polled_too_early_are_no_abrupt_stops() {
+    const ACCELERATION: f64 = 12.0;
+    const SPEED: f64 = 0.9;
+    // There and back by 0.9 rad, with rests.
+    let position = |t_s: f64| {
+        let (ramp_s, move_s, rest_s) = (SPEED / ACCELERATION, 1.0 + SPEED / ACCELERATION, 0.5);
+        let (turn, t_s) = (t_s.div_euclid(move_s + rest_s), t_s.rem_euclid(move_s + rest_s));
+        let speeding_up = |t_s: f64| 0.5 * ACCELERATION * t_s.clamp(0.0, ramp_s).powi(2);
+        let at_speed = SPEED * (t_s - ramp_s).clamp(0.0, move_s - 2.0 * ramp_s);
+        let slowing_down = speeding_up(ramp_s) - speeding_up(move_s - t_s.max(move_s - ramp_s));
+        let moved = speeding_up(t_s) + at_speed + slowing_down;
+        if turn % 2.0 == 0.0 { moved } else { SPEED - moved }
+    };
+    for early_every in [37, 331] {
+        let mut text = "time,q1,q2,q3,q4,q5,q6".to_owned();
+        for row in 0..3000 {
+            let is_early = row * 7919 % early_every == 4;
+            let q = position(0.008 * (row - usize::from(is_early)) as f64);
+            write!(text, "\n{:.3}", 0.008 * row as f64).expect("text");
+            for joint in [0.0, -1.5, 0.2, 0.3, 0.4, 0.5] {
+                write!(text, ",{:.6}", q + joint).expect("text");
+            }
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.csv");
+        fs::write(&path, text).expect("a file");
+        let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+        assert!(fault_codes(&report).is_empty(), "{early_every}: {:?}", report.findings);
+    }
+}
+
 #[test]
 fn joints_in_degrees_are_converted_and_noted() {
     let degrees = Table {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointSampleKind, LimitViolation, PeakAcceleration,
     VelocityDiagnosis, VelocitySamples, diagnose_velocity, encoder_step, peak_acceleration,
-    position_violation, row_blocks, speed_violation, speed_violation_from_positions,
+    position_violation, rates, row_blocks, speed_violation, speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointSamples, JointStateCorrection, Run, VelocitySource};
@@ -97,7 +97,7 @@ pub(super) fn joint_evidence(
                 peak_acceleration(t_s, velocity, JointSampleKind::Velocities, 0.0),
             ),
             VelocitySource::Derived => {
-                let step = encoder_step(position);
+                let step = encoder_step(position).max(polling_step(run, source.stream, samples));
                 let beyond = speed_violation_from_positions(t_s, position, &limits, step);
                 (beyond, peak_acceleration(t_s, position, JointSampleKind::Positions, step))
             }
@@ -105,6 +105,38 @@ pub(super) fn joint_evidence(
     }
     let is_prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
     JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
+}
+
+/// Span of the errors of positions whose age varies, because rows are polled while the source sends new values: the
+/// highest speed times the interval between new values. 0 if no row in motion repeats the previous one.
+pub(super) fn polling_step(run: &Run, stream: usize, samples: &JointSamples<'_>) -> f64 {
+    /// For the speed; longer than the age varies.
+    const SPEED_WINDOW_S: f64 = 0.1;
+    let (t_s, position) = (&samples.t_s, &samples.position);
+    let mut repeats = run.sample_filter.repeated.iter();
+    let polled = repeats.find(|held| held.stream == stream && held.repeated > 0);
+    let interval_s = match polled {
+        Some(held) => 1.0 / held.values_hz,
+        None if encoder_step(position) == 0.0 && has_repeats_in_motion(position) => {
+            (t_s[t_s.len() - 1] - t_s[0]) / (t_s.len() - 1) as f64
+        }
+        None => return 0.0,
+    };
+    let speeds = rates(t_s, position, SPEED_WINDOW_S).into_iter();
+    let highest = speeds.map(f64::abs).filter(|speed| speed.is_finite()).fold(0.0, f64::max);
+    highest * interval_s
+}
+
+/// Whether rows repeat the previous position although the joint moves on in the same direction. Positions without
+/// encoder steps do so only in rows that are polled.
+fn has_repeats_in_motion(position: &[f64]) -> bool {
+    /// One more than chance.
+    const MIN_REPEATS: usize = 2;
+    let is_repeat = |four: &&[f64]| {
+        let [before, after] = [four[1] - four[0], four[3] - four[2]];
+        four[2] == four[1] && before * after > 0.0
+    };
+    position.windows(4).filter(is_repeat).count() >= MIN_REPEATS
 }
 
 /// Whole turns beyond `limits` of all positions (rad), if subtracting them brings every position within.

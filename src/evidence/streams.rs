@@ -46,6 +46,8 @@ pub struct RhythmEvidence {
     pub due: ExpectedTiming,
     /// Samples per second.
     pub rate_hz: Option<f64>,
+    /// Whether its samples are rows of a table file, which one program writes.
+    pub is_from_table: bool,
     /// Declared samples per second.
     pub declared_hz: Option<f64>,
     /// Samples with unusable numbers.
@@ -106,6 +108,7 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmEvidence {
+            is_from_table: stream.is_from_table,
             due: expected_timing(run, stream)?,
             rate_hz: stream.rate_hz,
             declared_hz: stream.expected_hz,

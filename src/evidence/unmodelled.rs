@@ -2,7 +2,7 @@
 
 use super::arm::ArmEvidence;
 use super::commands::UnmodelledCommands;
-use super::joints::{JointEvidence, JointMotion, velocities};
+use super::joints::{JointEvidence, JointMotion, polling_step, velocities};
 use super::{StreamEvidence, span_or_run};
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointEncoding, JointSampleKind, VelocityDiagnosis,
@@ -67,7 +67,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         let abruptness = match is_consistent {
             true => peak_acceleration(t_s, logged, JointSampleKind::Velocities, 0.0),
             false => {
-                let step = encoder_step(position);
+                let step = encoder_step(position).max(polling_step(run, stream, samples));
                 peak_acceleration(t_s, position, JointSampleKind::Positions, step)
             }
         };

@@ -3,6 +3,11 @@ use std::path::PathBuf;
 use ground::stream::Columns;
 use ground::time::Stamp;
 
+/// Encoding of a table's topics.
+const TABLE: &str = "table";
+/// The same of a table by UR's RTDE client.
+const RTDE: &str = "csv";
+
 /// Everything read from the files of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
@@ -183,6 +188,13 @@ pub struct Topic {
     pub is_aligned_by_motion: bool,
     /// First and last log time.
     pub span: Option<(Stamp, Stamp)>,
+}
+
+impl Topic {
+    /// Whether its rows are those of a table file, which one program writes.
+    pub fn is_from_table(&self) -> bool {
+        matches!(self.encoding.as_str(), TABLE | RTDE)
+    }
 }
 
 /// Columns of a table.

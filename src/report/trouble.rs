@@ -55,6 +55,7 @@ impl From<&RunError> for Trouble {
             | RunError::NoSamples { .. }
             | RunError::NoModel { .. }
             | RunError::Ambiguous { .. }
+            | RunError::Undistinguished { .. }
             | RunError::Numbered { .. }
             | RunError::SameMotion { .. }
             | RunError::UnknownJoints { .. }

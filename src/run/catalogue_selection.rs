@@ -1,5 +1,7 @@
 //! Selects the catalogue arm if several have the log's joint names.
 
+use std::collections::BTreeMap;
+
 use crate::diagnosis::{FitAssumption, HypothesisFit};
 use crate::finding::Unit;
 use crate::robot::{Robot, catalogue};
@@ -40,14 +42,36 @@ pub(super) struct RankedModel {
     pub topic: String,
 }
 
+/// Maximum residual of a fit that shows something, as a share of the positions' extent: free frames fit a
+/// tip at rest with any arm.
+pub(super) const MAX_RESIDUAL_SHARE: f64 = 0.02;
+
 impl RankedModel {
     /// Whether two residuals are equal: as far as this motion shows, the links are too, and audits agree.
     pub fn is_equivalent_to(&self, other: &Self) -> bool {
-        /// Rounding, and early termination of the fit.
+        /// Rounding, and early termination of the fit. With faults, few postures fit other links exactly.
         const ROUNDING_M: f64 = 1e-8;
         const MAX_RELATIVE_DIFFERENCE: f64 = 1e-3;
+        let both = |is: fn(&Self) -> bool| is(self) && is(other);
         let (a, b) = (self.hypothesis.residual_m, other.hypothesis.residual_m);
-        (a - b).abs() <= ROUNDING_M + MAX_RELATIVE_DIFFERENCE * a.max(b)
+        let rounding_m = if both(Self::needs_no_fault) { ROUNDING_M } else { 0.0 };
+        both(Self::is_beyond_chance)
+            && (a - b).abs() <= rounding_m + MAX_RELATIVE_DIFFERENCE * a.max(b)
+    }
+
+    pub fn needs_no_fault(&self) -> bool {
+        self.hypothesis.assumption.is_faultless() && !self.hypothesis.is_misinterpreted
+    }
+
+    pub fn is_beyond_chance(&self) -> bool {
+        self.hypothesis.residual_m < MAX_RESIDUAL_SHARE * self.spread_m
+    }
+
+    /// Whether it needs a fault, and a model without one fits at least as well.
+    fn is_dominated_by(&self, other: &Self) -> bool {
+        other.needs_no_fault()
+            && !self.needs_no_fault()
+            && self.hypothesis.residual_m >= other.hypothesis.residual_m
     }
 
     pub fn describe(&self) -> String {
@@ -91,21 +115,24 @@ impl ModelRanking {
         let Some(best) = self.models.first() else { return Vec::new() };
         let others = self.models.iter().skip(1);
         let is_same = |other: &&RankedModel| {
-            other.is_fit && other.score <= best.score + self.min_score_difference
+            other.is_fit
+                && other.score <= best.score + self.min_score_difference
+                && !other.is_dominated_by(best)
         };
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
-    /// Names of arms with other links that this motion cannot distinguish from the best.
-    fn indistinguishable(&self, names: &[&str]) -> Vec<String> {
+    /// Arms with other links that this motion cannot distinguish from the best.
+    fn indistinguishable(&self) -> Vec<&RankedModel> {
         let Some(best) = self.models.first() else { return Vec::new() };
-        let others = self.ties().into_iter().skip(1).filter(|other| !other.is_equivalent_to(best));
-        others.map(|other| names[other.model].to_owned()).collect()
+        let others = self.ties().into_iter().skip(1);
+        others.filter(|other| !other.is_equivalent_to(best)).collect()
     }
 
     fn not_distinguished(&self) -> Vec<&RankedModel> {
+        let Some(best) = self.models.first() else { return Vec::new() };
         let least = self.models.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
-        let others = self.models.iter().skip(1);
+        let others = self.models.iter().skip(1).filter(|other| !other.is_dominated_by(best));
         others.filter(|other| other.score <= least + self.min_score_difference).collect()
     }
 
@@ -153,6 +180,10 @@ pub(super) fn models_from_catalogue(
     let mut models: Vec<LogModel> = Vec::new();
     loop {
         let found = catalogue::candidates_for(&joints);
+        let counts_alike = |candidate: &catalogue::Candidate| {
+            candidate.renamed().is_some_and(|robot| !skips_lower_numbers(&robot, &joints))
+        };
+        let found: Vec<catalogue::Candidate> = found.into_iter().filter(counts_alike).collect();
         let equals: Vec<LogModel> = found
             .iter()
             .filter(|other| {
@@ -178,6 +209,21 @@ pub(super) fn models_from_catalogue(
             Err(error) => return Err(error),
         }
     }
+}
+
+/// Whether the arm lacks the first joints of its series in the log, such as `joint_0` of seven: then the names
+/// count from another number, and match by chance.
+fn skips_lower_numbers(robot: &Robot, logged: &[String]) -> bool {
+    let mut series: BTreeMap<(&str, &str), BTreeMap<u64, bool>> = BTreeMap::new();
+    for name in logged {
+        if let Some((before, number, after)) = joint_order::split_at_number(name) {
+            let is_own = robot.joint(name).is_some();
+            series.entry((before, after)).or_default().insert(number, is_own);
+        }
+    }
+    let begins_with_another =
+        |numbers: &BTreeMap<u64, bool>| numbers.values().next() == Some(&false);
+    series.values().any(|numbers| begins_with_another(numbers) && numbers.values().any(|own| *own))
 }
 
 /// Whether all joints have a number and at most two letters, such as `J1`.
@@ -275,8 +321,14 @@ fn select_one(
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.models.first()?))) {
         // Names such as joint_1 are common, so one that does not fit may be another maker's.
         Some((ranking, best)) if best.is_fit || is_one_makers => {
+            let others = ranking.indistinguishable();
+            let arms = std::iter::once(best).chain(others.iter().copied());
+            let arms: Vec<String> = arms.map(|one| names[one.model].to_owned()).collect();
+            if others.iter().any(|one| vendor(&equals[one.model]) != vendor(&equals[best.model])) {
+                return Err(RunError::Undistinguished { arms });
+            }
             let model = take(best.model, ranking.describe(&names, "these joint names"));
-            let indistinguishable = ranking.indistinguishable(&names);
+            let indistinguishable = arms[1..].to_vec();
             Ok(model.map(|model| LogModel { indistinguishable, ..model }))
         }
         Some(_) if must_fit => Ok(None),
@@ -390,6 +442,56 @@ mod tests {
         );
     }
 
+    fn plain_names() -> Vec<String> {
+        (1..=6).map(|i| format!("joint_{i}")).collect()
+    }
+
+    #[test]
+    fn arms_of_different_makers_that_fit_alike_are_no_arm() {
+        let at_rest = |models: &[&LogModel]| {
+            let standings = (0..models.len()).map(|at| RankedModel {
+                spread_m: 1e-7,
+                ..standing(at, FitAssumption::Nothing, 6e-8, -700.0)
+            });
+            Some(ModelRanking { models: standings.collect(), min_score_difference: 20.0 })
+        };
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &at_rest };
+        let error = select(&plain_names(), &criteria).unwrap_err();
+        assert!(matches!(error, RunError::Undistinguished { .. }), "{error}");
+        // One maker's arms differ in their links and limits only.
+        let found = select(&ur(), &criteria).unwrap();
+        assert!(found[0].indistinguishable.len() > 2, "{:?}", found[0].indistinguishable);
+    }
+
+    #[test]
+    fn an_arm_that_needs_a_fault_and_fits_no_better_is_distinguished() {
+        let by_poses = |models: &[&LogModel]| {
+            let at = |name: &str| models.iter().position(|model| model.robot.name == name);
+            let zero = FitAssumption::Zero { joint: 2, tool: true };
+            let best = standing(at("ur3e")?, FitAssumption::Tool, 4.4e-4, -700.0);
+            let next = standing(at("ur3")?, zero, 8.9e-4, -701.0);
+            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
+        };
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
+        let found = select(&ur(), &criteria).unwrap();
+        assert!(found[0].robot.name == "ur3e" && found[0].indistinguishable.is_empty());
+        let reason = &found[0].identified_by;
+        assert!(reason.contains("next best ur3, within 0.89 mm"), "{reason}");
+    }
+
+    #[test]
+    fn an_arm_without_the_first_of_the_numbered_joints_is_another() {
+        let fits = |models: &[&LogModel]| {
+            let best = standing(0, FitAssumption::Nothing, 2e-5, -700.0);
+            (!models.is_empty())
+                .then(|| ModelRanking { models: vec![best], min_score_difference: 20.0 })
+        };
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &fits };
+        let seven: Vec<String> = (0..7).map(|i| format!("lbr_joint_{i}")).collect();
+        assert!(select(&seven, &criteria).unwrap().is_empty());
+        assert_eq!(select(&seven[1..], &criteria).unwrap().len(), 1);
+    }
+
     #[test]
     fn without_transforms_and_poses_nothing_is_guessed() {
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &|_| None };
@@ -407,8 +509,7 @@ mod tests {
         let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
         assert!(select(&strange, &criteria).unwrap().is_empty());
-        let plain: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
-        let error = select(&plain, &criteria).unwrap_err();
+        let error = select(&plain_names(), &criteria).unwrap_err();
         assert!(matches!(error, RunError::Ambiguous { .. }), "{error}");
     }
 }

@@ -31,6 +31,11 @@ pub enum RunError {
         /// The arms.
         arms: Vec<String>,
     },
+    /// Several of them, by different makers, fit the poses equally well.
+    Undistinguished {
+        /// The arms.
+        arms: Vec<String>,
+    },
     /// A table's joints are unnamed, and its poses fit no catalogue arm, or several.
     Numbered {
         /// Number of joints.
@@ -39,6 +44,8 @@ pub enum RunError {
         arms: Vec<String>,
         /// The closest arm and its residual, if none fits.
         best: Option<String>,
+        /// Whether the tool moves too little to distinguish arms.
+        is_at_rest: bool,
     },
     /// Joint names differ between model and log.
     UnknownJoints {
@@ -134,6 +141,7 @@ impl RunError {
             | Self::NoSamples { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
+            | Self::Undistinguished { .. }
             | Self::Numbered { .. }
             | Self::SameMotion { .. }
             | Self::UnknownJoints { .. }
@@ -161,6 +169,11 @@ impl RunError {
             Self::Ambiguous { arms } => {
                 format!("{} catalogue arms have these joint names: {}", arms.len(), few(arms))
             }
+            Self::Undistinguished { arms } => format!(
+                "this motion does not distinguish {} catalogue arms with these joint names: {}",
+                arms.len(),
+                few(arms)
+            ),
             Self::Numbered { joints, best: Some(best), .. } => format!(
                 "the table does not name its {joints} joints, and no catalogue arm fits its poses; closest: \
                  {best}"
@@ -168,10 +181,11 @@ impl RunError {
             Self::Numbered { joints, arms, .. } if arms.is_empty() => format!(
                 "the table does not name its {joints} joints, and has no moving pose that identifies the arm"
             ),
-            Self::Numbered { joints, arms, .. } => format!(
+            Self::Numbered { joints, arms, is_at_rest, .. } => format!(
                 "the table does not name its {joints} joints, and {} catalogue arms fit its poses about \
-                 equally well: {}",
+                 equally well{}: {}",
                 arms.len(),
+                if *is_at_rest { ", because the tool hardly moves" } else { "" },
                 few(arms)
             ),
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
@@ -234,6 +248,7 @@ impl RunError {
             Self::NoJointStates { .. }
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
+            | Self::Undistinguished { .. }
             | Self::Numbered { .. }
             | Self::TimeOrigins { .. }
             | Self::SameMotion { .. } => "the log".to_owned(),
@@ -262,9 +277,10 @@ impl RunError {
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME from the catalogue, such as ur5e"
             }
-            Self::Ambiguous { .. } | Self::Numbered { .. } | Self::SameMotion { .. } => {
-                "pass --robot NAME with the correct one"
-            }
+            Self::Ambiguous { .. }
+            | Self::Undistinguished { .. }
+            | Self::Numbered { .. }
+            | Self::SameMotion { .. } => "pass --robot NAME with the correct one",
             Self::TimeOrigins { .. } => {
                 "write the same clock into all files, or audit them separately"
             }

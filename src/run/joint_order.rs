@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::catalogue_selection::{RankedModel, RankingCriteria};
+use super::catalogue_selection::{MAX_RESIDUAL_SHARE, RankedModel, RankingCriteria};
 use super::error::RunError;
 use super::model::{LogModel, ModelClues};
 use super::role::{NON_ARM_JOINT_WORDS, find_word, split_words};
@@ -18,8 +18,6 @@ use crate::stream::{Columns, JointColumn, JointColumns};
 pub(super) const TABLE: &str = "table";
 
 const MIN_JOINTS: usize = 4;
-/// Maximum residual of a match, as a share of the positions' extent.
-const MAX_RESIDUAL_SHARE: f64 = 0.02;
 
 const PART_WORDS: [&[&str]; 6] = [
     &["rail", "track", "gantry", "slide"],
@@ -185,16 +183,17 @@ pub(super) fn match_numbered(
     /// Maximum residual of an arm that fits only with a fault, m: nominal model against calibrated arm.
     const MAX_RESIDUAL_M: f64 = 5e-4;
     let joints = clues.joints.len();
+    let no_arm = |best| RunError::Numbered { joints, arms: Vec::new(), best, is_at_rest: false };
     let models = arms_with_joint_count(clues.joints, clues);
     let names: Vec<String> = models.iter().map(|model| order_label(model, clues.joints)).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let Some(ranking) = (criteria.by_poses)(&models.iter().collect::<Vec<_>>()) else {
-        return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
+        return Err(no_arm(None));
     };
     let ranking =
         ranking.with_unused_joints(|at| joints - count_used_joints(&models[at], clues.joints));
     let Some(best) = ranking.models.first() else {
-        return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
+        return Err(no_arm(None));
     };
     // A zero offset may fit slightly better, because it absorbs link deviations.
     let is_sound = best.is_fit_without_fault;
@@ -202,17 +201,18 @@ pub(super) fn match_numbered(
         best.hypothesis.residual_m < MAX_RESIDUAL_M.min(MAX_RESIDUAL_SHARE * best.spread_m);
     if !best.is_fit || !(is_sound || is_close) {
         let best = Some(format!("{} ({})", names[best.model], best.describe()));
-        return Err(RunError::Numbered { joints, arms: Vec::new(), best });
+        return Err(no_arm(best));
     }
     let same = ranking.ties();
-    if same.iter().any(|other| !other.is_equivalent_to(best)) {
+    if same.iter().skip(1).any(|other| !other.is_equivalent_to(best)) {
         let mut arms: Vec<String> = Vec::new();
         for one in same {
             if !arms.iter().any(|arm| arm == names[one.model]) {
                 arms.push(names[one.model].to_owned());
             }
         }
-        return Err(RunError::Numbered { joints, arms, best: None });
+        let is_at_rest = !best.is_beyond_chance();
+        return Err(RunError::Numbered { joints, arms, best: None, is_at_rest });
     }
     let found = ranking.describe(&names, "as many joints");
     Ok(vec![LogModel { identified_by: found, ..models[best.model].clone() }])
@@ -305,10 +305,7 @@ fn choose_by_poses(matches: Vec<JointMatch>, criteria: &RankingCriteria<'_>) -> 
 
 /// Whether a model fits without a fault, too closely for chance.
 fn is_fit_without_fault(one: &RankedModel) -> bool {
-    one.is_fit
-        && one.hypothesis.assumption.is_faultless()
-        && !one.hypothesis.is_misinterpreted
-        && one.hypothesis.residual_m < MAX_RESIDUAL_SHARE * one.spread_m
+    one.is_fit && one.needs_no_fault() && one.is_beyond_chance()
 }
 
 fn describe_fit(one: &RankedModel) -> String {
@@ -403,7 +400,7 @@ fn words_without_digits(name: &str) -> Vec<String> {
 }
 
 /// Last number in a name, with the text around it.
-fn split_at_number(name: &str) -> Option<(&str, u64, &str)> {
+pub(super) fn split_at_number(name: &str) -> Option<(&str, u64, &str)> {
     let end = name.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = name[..end]
         .rfind(|c: char| !c.is_ascii_digit())

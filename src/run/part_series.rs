@@ -87,7 +87,7 @@ pub(super) fn collect_series<'a>(
         let mut add = |piece: usize, frame, times: &'a Times, values| {
             let mut rows = clocks.rows(streams, stream, piece);
             rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
-            let is_table = held.read_as.is_some();
+            let is_table = held.is_from_table || held.read_as.is_some();
             found.push(PartSeries { stream, piece, frame, is_table, rows, times, values });
         };
         match columns {

@@ -123,15 +123,16 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     // Disagreeing poses have two publishers even if their stamps, copied from joint states, are irregular.
     let values_disagree =
         matches!(series.values, PartValues::Poses(_)) && rough > MAX_EXTRAPOLATION_ERROR;
-    let stamps_show_two = || {
-        let two = split_senders(&stamped_s, &extrapolation_error);
-        two.is_some_and(|two| values_disagree || has_two_senders(&stamped_s, &two))
-    };
-    let is_one = has_one_sender(&stamped_s)
+    let stamps_show_one = has_one_sender(&stamped_s)
         || has_one_sender(&received_s)
         || is_ticking()
-        || is_read_evenly(series, checked_rows.len())
-        || !stamps_show_two();
+        || is_read_evenly(series, checked_rows.len());
+    let split = match stamps_show_one {
+        true => None,
+        false => split_senders(&stamped_s, &extrapolation_error),
+    };
+    let stamps_show_two = split.as_ref().is_some_and(|two| has_two_senders(&stamped_s, two));
+    let is_one = !stamps_show_two && !(values_disagree && split.is_some());
     // Repeats are as rough as disagreeing publishers.
     if is_one
         && (rough <= MAX_EXTRAPOLATION_ERROR
@@ -147,14 +148,17 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     {
         return None;
     }
-    let parts = split_senders(&stamped_s, &extrapolation_error)
+    let parts = split
+        .or_else(|| split_senders(&stamped_s, &extrapolation_error))
         .filter(|parts| !is_one || is_smoother(parts))?;
     // Applies the periods of a part to the whole run.
     let rows = match checked_rows.len() == t_s.len() {
         true => parts.rows,
         false => split_by_periods(&t_s, parts.periods_s, &extrapolation_error)?.rows,
     };
+    // Jitter of one publisher's stamps makes its values rough, but its halves then agree.
     build_publishers(series, &t_s, rows, is_one)
+        .filter(|two| is_one || stamps_show_two || two.distance.is_some())
 }
 
 /// Whether values are interpolated far better by row number than by stamp: one sender reads regularly, but
@@ -415,6 +419,12 @@ mod tests {
         lossy.times = Times::default();
         header.iter().for_each(|nanos| lossy.times.push(*nanos, *nanos, 0));
         assert_eq!(detect(&lossy), None);
+        let mut jittery = sent(&[(20.0, 0.0, 0.0)]);
+        for (row, nanos) in jittery.times.header.iter_mut().enumerate() {
+            *nanos += ((row * 7919) % 17) as i64 * MS / 4;
+        }
+        jittery.times.log.clone_from(&jittery.times.header);
+        assert_eq!(detect(&jittery), None);
         let mut ragged = sent(&[(20.0, 0.0, 0.0)]);
         for (row, nanos) in ragged.times.header.iter_mut().enumerate() {
             *nanos += ((row * 7919) % 17) as i64 * MS;

@@ -83,6 +83,16 @@ const COMMAND_WORDS: &[&str] = &[
     "interactive",
 ];
 
+/// Last words of the names of desired (`_d`) and commanded (`_c`) values. Source: libfranka, `RobotState`.
+const COMMAND_ENDINGS: &[(&[&str], &str)] = &[
+    (&["o", "t", "ee", "d"], "O_T_EE_d"),
+    (&["o", "t", "ee", "c"], "O_T_EE_c"),
+    (&["q", "d"], "q_d"),
+    (&["dq", "d"], "dq_d"),
+    (&["ddq", "d"], "ddq_d"),
+    (&["tau", "j", "d"], "tau_J_d"),
+];
+
 /// Words of camera detections.
 pub(super) const DETECTION_WORDS: &[&str] = &[
     "tag",
@@ -249,7 +259,9 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if pose.child != FrameKind::MovingLink && is_of_camera {
         return (Role::Target, format!("seen by a camera: its frame is '{frame_id}'"));
     }
-    if let Some(word) = find_word(&decisive_words(topic), COMMAND_WORDS) {
+    if let Some(word) =
+        find_word(&decisive_words(topic), COMMAND_WORDS).or_else(|| command_ending(&topic_words))
+    {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     if let Some(word) = find_word(&topic_words, COMMAND_WORDS) {
@@ -363,6 +375,15 @@ fn command_word(topic: &str) -> Option<&'static str> {
     let words = decisive_words(topic);
     find_word(&words, COMMAND_WORDS)
         .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
+        .or_else(|| command_ending(&words))
+}
+
+fn command_ending(words: &[String]) -> Option<&'static str> {
+    let ends_with = |ending: &[&str]| {
+        let start = words.len().checked_sub(ending.len());
+        start.is_some_and(|start| words[start..] == *ending)
+    };
+    COMMAND_ENDINGS.iter().find(|(ending, _)| ends_with(ending)).map(|(_, name)| *name)
 }
 
 /// Words of a topic that determine its role. If the last segment names a tool or joint states, a namespace such as
@@ -461,6 +482,7 @@ mod tests {
             ("/franka_robot_state_broadcaster/current_pose", none, none, Role::Pose),
             ("/franka_robot_state_broadcaster/o_t_ee", base, none, Role::Pose),
             ("/franka_robot_state_broadcaster/robot_state.o_t_ee", base, none, Role::Pose),
+            ("/franka_robot_state_broadcaster/robot_state.o_t_ee_d", base, none, Role::Reference),
             ("/iiwa/state/CartesianPose", base, none, Role::Pose),
             ("/iiwa/command/CartesianPose", base, none, Role::Reference),
             ("/arm/equilibrium_pose", base, none, Role::Reference),
@@ -506,6 +528,9 @@ mod tests {
             ("/ur/actual_tcp_pose", 6, false, presumed),
             ("/O_T_EE", 16, false, presumed),
             ("/franka_state_controller/franka_states.O_T_EE", 16, false, presumed),
+            ("/franka_state_controller/franka_states.O_T_EE_d", 16, false, Role::Reference),
+            ("/franka/O_T_EE_c", 16, false, Role::Reference),
+            ("/franka/tau_J_d", 7, false, Role::Reference),
             ("/forward_position_controller/commands", 6, false, Role::Reference),
             ("/arm/joint_torques", 6, false, Role::Ignored),
             ("/ft_sensor/wrench", 6, false, Role::Ignored),
@@ -525,9 +550,12 @@ mod tests {
         );
         let states = role_by_content("/target_robot/joint_states", &joints);
         assert_eq!(states.map(|(role, _)| role), Some(Role::Joints));
-        for topic in
-            ["/isaac_joint_commands", "/arm_controller/state.reference", "/cmd/joint_states"]
-        {
+        for topic in [
+            "/isaac_joint_commands",
+            "/arm_controller/state.reference",
+            "/cmd/joint_states",
+            "/q_d",
+        ] {
             assert_eq!(
                 role_by_content(topic, &joints).map(|(role, _)| role),
                 Some(Role::Reference)

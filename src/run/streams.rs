@@ -55,6 +55,8 @@ pub struct Stream {
     pub is_empty: bool,
     /// How table columns were identified.
     pub read_as: Option<String>,
+    /// Whether its rows are those of a table file.
+    pub is_from_table: bool,
     /// Its table columns, in `[columns]` syntax.
     pub cells: Vec<String>,
     /// Whether its receive times come from its motion.
@@ -137,6 +139,7 @@ impl Stream {
             reference: self.reference.clone(),
             link: self.link.clone(),
             read_as: self.read_as.clone(),
+            is_from_table: self.is_from_table,
             cells: self.cells.clone(),
             unidentified: self.unidentified.clone(),
             columns: None,
@@ -229,7 +232,9 @@ fn demote_fake_controllers(streams: &mut [Stream]) {
 fn streams_of_topic(topic: Topic) -> Vec<Stream> {
     let undecodable = topic.undecodable.as_ref().map_or(0, |undecodable| undecodable.messages);
     let kind = if topic.type_name.is_empty() { "column" } else { "type" };
+    let is_from_table = topic.is_from_table();
     let mut stream = Stream {
+        is_from_table,
         topic: topic.name,
         type_name: topic.type_name,
         role: Role::Ignored,

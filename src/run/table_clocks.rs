@@ -11,12 +11,9 @@ use crate::time::{NANOS_PER_SECOND, Stamp, seconds};
 
 use super::columns::arm_chains;
 use super::error::RunError;
-use super::joint_order::TABLE;
 use super::role::{Role, role_by_content, role_outside_arm};
 use super::{RunOptions, models};
 
-/// Encoding of a table by UR's RTDE client.
-const RTDE: &str = "csv";
 /// Clocks with the same epoch differ by less: 3 years, s.
 const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
 /// Correlation of the speeds of joints and tool at the offset.
@@ -37,8 +34,7 @@ struct ClockGroup {
 /// # Errors
 /// If the motion does not show the offset.
 pub fn align_table_clocks(log: &mut Log, options: &RunOptions) -> Result<(), RunError> {
-    let is_table = |topic: &&Topic| [TABLE, RTDE].contains(&topic.encoding.as_str());
-    if log.files.len() < 2 || !log.topics.iter().all(|topic| is_table(&topic)) {
+    if log.files.len() < 2 || !log.topics.iter().all(Topic::is_from_table) {
         return Ok(());
     }
     let groups = clock_groups(&log.topics);

@@ -327,18 +327,32 @@ fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
     })
 }
 
-/// Whether `jump_m` is one tick of the joint's encoder: the joint moves by several, and never by less.
+/// Whether `jump_m` is a few ticks of the joint's encoder: the joint moves by more, and only by whole ticks.
 fn is_resolution(piece: &TransformPart<'_>, jump_m: f64) -> bool {
     const MIN_MOTION_JUMPS: f64 = 4.0;
-    /// Below one tick, with rounding of the published numbers.
-    const MIN_STEP_SHARE: f64 = 0.75;
+    /// Noise of an encoder at rest.
+    const MAX_JUMP_TICKS: f64 = 3.5;
+    /// Maximum deviation of a step from whole ticks, in ticks: rounding of the published numbers, and the
+    /// difference of chord and arc.
+    const MAX_DEVIATION_TICKS: f64 = 0.25;
     let poses = piece.poses;
     let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();
     let rows = || 1..poses.times.len();
     let motion_m = rows().map(|row| size_m(0, row)).fold(0.0, f64::max);
-    let steps = rows().map(|row| size_m(row - 1, row)).filter(|step_m| *step_m > MAX_ROUNDING_M);
+    // Many ticks would show the error of the least step, not whether they are whole.
+    let few_ticks_m = MAX_ROUNDING_M..1.5 * jump_m;
+    let steps_m: Vec<f64> = rows()
+        .map(|row| size_m(row - 1, row))
+        .filter(|step_m| few_ticks_m.contains(step_m))
+        .collect();
+    let tick_m = steps_m.iter().copied().fold(f64::INFINITY, f64::min);
+    let is_whole = |step_m: f64| {
+        let ticks = step_m / tick_m;
+        (ticks - ticks.round()).abs() < MAX_DEVIATION_TICKS
+    };
     motion_m > MIN_MOTION_JUMPS * jump_m
-        && steps.fold(f64::INFINITY, f64::min) > MIN_STEP_SHARE * jump_m
+        && jump_m < MAX_JUMP_TICKS * tick_m
+        && steps_m.iter().all(|step_m| is_whole(*step_m))
 }
 
 impl Run {
@@ -468,13 +482,22 @@ mod tests {
     }
 
     #[test]
-    fn an_encoder_that_flickers_by_one_tick_is_no_second_publisher() {
+    fn an_encoder_that_flickers_by_whole_ticks_is_no_second_publisher() {
         const TICK_M: f64 = 2e-3;
         let ticks = |row: usize| TICK_M * (row / 6 + row % 2) as f64;
         let flickers = poses("a", "b", 0, ticks);
         assert_eq!(problems_of(&[dynamic(&flickers)]), []);
         let two = poses("a", "b", 0, |row| ticks(row) + 10.5 * TICK_M * (row % 2) as f64);
         assert_eq!(problems_of(&[dynamic(&two)]).len(), 1);
+        // Noise of two ticks, and two publishers that differ by one and a half.
+        let noisy = |offset: f64| {
+            move |row: usize| {
+                TICK_M * ((row / 4) as f64 + offset * (row % 2 * (1 + row / 3 % 2)) as f64)
+            }
+        };
+        let (whole, parted) = (poses("a", "b", 0, noisy(1.0)), poses("a", "b", 0, noisy(1.5)));
+        assert_eq!(problems_of(&[dynamic(&whole)]), []);
+        assert_eq!(problems_of(&[dynamic(&parted)]).len(), 1);
     }
 
     #[test]

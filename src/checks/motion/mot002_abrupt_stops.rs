@@ -33,8 +33,9 @@ rule! {
     /// ## When it misleads
     /// A stop between two samples is averaged over them: record at 100 Hz or more. The result is
     /// inconclusive if noise or stamp jitter hides such an acceleration, or if samples are more than 50 ms
-    /// apart. Gaps (TIM002) are skipped, and repeated samples (TIM008) count once. A value that no arm can
-    /// reach is reported as wrong data.
+    /// apart. Gaps (TIM002) are skipped, and repeated samples (TIM008) count once. If rows repeat others
+    /// while the arm moves, the age of the positions varies, and accelerations that this can produce are no
+    /// finding. A value that no arm can reach is reported as wrong data.
     MOT002 {
         limits: &[MAX_REVOLUTE_ACCELERATION, MAX_PRISMATIC_ACCELERATION],
         name: "abrupt-stops",

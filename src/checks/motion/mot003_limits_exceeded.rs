@@ -30,6 +30,8 @@ rule! {
     ///   treated as continuous. Speed limits of such joints often depend on the control mode.
     /// - Speeds are the logged ones if they agree with the positions, otherwise the slope of the positions.
     ///   A single sample beyond a speed limit is ignored as an outlier.
+    /// - If the motion does not distinguish the arm from others with the same joint names, which may have other
+    ///   limits, an excess is no finding: name the arm with `--robot`.
     /// - Some models deliberately use narrower limits than the arm's.
     /// - Positions are checked as logged, in the detected unit, without the zero offsets of ZER001.
     MOT003 {
@@ -153,6 +155,14 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let unit = arm.joint_unit(index);
     let told: Vec<String> =
         exceeded.iter().map(|exceeded| describe(case, exceeded, unit)).collect();
+    if !arm.indistinguishable_models.is_empty() {
+        return judged(Outcome::Inconclusive(format!(
+            "{}; but this motion does not distinguish {} from {}: name your arm with --robot",
+            told.join("; "),
+            arm.name,
+            arm.indistinguishable_models.join(", ")
+        )));
+    }
     let fault = Fault {
         cause: Cause::Pictured(Picture::Joint),
         severity: worst.severity,
@@ -228,6 +238,19 @@ mod tests {
         let lift = &mut arm.diagnosis.offsets[1];
         (lift.offset, lift.is_chosen) = (Ok(crate::checks::testing::precise(-1.2)), true);
         assert!(evaluate_rule(&MOT003, &run).1.is_empty());
+    }
+
+    #[test]
+    fn the_limits_of_an_arm_that_the_motion_does_not_distinguish_are_not_judged() {
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
+        arm.indistinguishable_models = vec!["ur16e".to_owned()];
+        arm.joints[1].motion.positions =
+            Some(LimitViolation { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
+        let (rows, findings) = evaluate_rule(&MOT003, &run);
+        assert!(findings.is_empty(), "{findings:?}");
+        let why = rows.iter().find_map(|row| row.reason.as_deref()).unwrap();
+        assert!(why.contains("does not distinguish") && why.contains("ur16e"), "{why}");
     }
 
     #[test]

@@ -20,7 +20,8 @@ rule! {
     ///
     /// ## How to fix
     /// Look for two nodes that publish the same, or a driver that stamps a batch of measurements with the
-    /// read time of the buffer. Stamp every measurement.
+    /// read time of the buffer. Stamp every measurement. In a table, write the source's own stamp in every
+    /// row.
     ///
     /// ## When it misleads
     /// A node that resends its last value with its old stamp, such as a state publisher polled faster than
@@ -80,10 +81,13 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
             worst.conflicts, worst.rows
         ),
         evidence: Evidence::default(),
-        fix: format!(
-            "check for a second publisher on {}, and stamp every measurement",
-            rhythm.subject.label()
-        ),
+        fix: match rhythm.is_from_table {
+            true => "write the source's own stamp in every row, and each row once".to_owned(),
+            false => format!(
+                "check for a second publisher on {}, and stamp every measurement",
+                rhythm.subject.label()
+            ),
+        },
     };
     SubjectResult::new(subject, Outcome::fail(fault))
         .within(rhythm.span)

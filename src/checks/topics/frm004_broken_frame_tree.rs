@@ -36,7 +36,7 @@ rule! {
     /// ## When it misleads
     /// - An object that is picked up and put down may change its parent: not counted.
     /// - Two publishers with equal values are `info`.
-    /// - An encoder at rest between two ticks is no second publisher.
+    /// - An encoder that flickers by a few ticks is no second publisher, and neither are irregular stamps.
     /// - A static transform recalibrated during the run did change.
     /// - A tracker's world frame needs no transform to the base: it is estimated.
     /// - Topics in different namespaces (`/left/tf`, `/right/tf`) are separate trees.

@@ -16,7 +16,7 @@ use crate::joints::{
     other_encoding,
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
-use crate::model::measurement::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
+use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
 use crate::samples::sampling::as_rotations;
 use crate::selection::held_out::HeldOut;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
@@ -118,7 +118,7 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
     {
         (encoding, result) = (Ok(JointEncoding::default()), diagnose_as(&as_logged));
     }
-    if encoding.is_err() || is_far_from_fk(&result) {
+    if (encoding.is_err() || is_far_from_fk(&result)) && result.total_residual_m() > FLOOR_M {
         // Other faults may hide the encoding.
         for likely in likely_encodings(joints, streams, &metres, max_lag_s) {
             let by_likely = diagnose_as(&likely.encoding);

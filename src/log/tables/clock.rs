@@ -399,14 +399,28 @@ fn why_not_times(column: &Column) -> String {
     }
 }
 
+/// Whether all steps are positive, and nearly all are near the median, or one to several of the short ones where
+/// rows are lost.
 fn increases_evenly(values: &[f64]) -> bool {
-    /// Share of steps that are regular relative to the median.
+    /// Share of regular steps.
     const MIN_REGULAR_PERCENT: usize = 90;
     const REGULAR_STEP: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-    let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let Some(step) = median(&mut steps.clone()) else { return false };
-    let usual = steps.iter().filter(|own| REGULAR_STEP.contains(&(**own / step))).count();
-    steps.iter().all(|own| *own > 0.0) && 100 * usual >= MIN_REGULAR_PERCENT * steps.len()
+    /// Steps between rows, and their deviation from a whole number.
+    const WHOLE_STEPS: std::ops::RangeInclusive<f64> = 1.0..=10.0;
+    const MAX_DEVIATION_STEPS: f64 = 0.15;
+    let mut steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    let (Some(middle), Some(short)) = (steps.get(steps.len() / 2), steps.get(steps.len() / 4))
+    else {
+        return false;
+    };
+    let is_near = |own: &&f64| REGULAR_STEP.contains(&(**own / middle));
+    let is_whole = |own: &&f64| {
+        let count = **own / short;
+        WHOLE_STEPS.contains(&count.round()) && (count - count.round()).abs() <= MAX_DEVIATION_STEPS
+    };
+    let regular = steps.iter().filter(is_near).count().max(steps.iter().filter(is_whole).count());
+    steps.iter().all(|own| *own > 0.0) && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
 }
 
 /// Whether two clocks agree without drift.

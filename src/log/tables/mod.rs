@@ -487,9 +487,7 @@ impl Tables {
         let is_unused = |found: &TableTopic| found.columns.is_none() && !found.cells.is_empty();
         let accompanies = self.inputs.len() > 1 && found.iter().all(is_unused);
         if found.iter().all(|found| found.columns.is_none()) && !accompanies {
-            return Err(EpisodeError::UnusableRows(
-                "it holds no numbers besides its times".to_owned(),
-            ));
+            return Err(EpisodeError::UnusableRows(no_signal(&found)));
         }
         row_losses::report_unstamped(table, &clock, label, losses);
         let is_episode = self.is_episode(&found);
@@ -624,6 +622,20 @@ impl Tables {
                 losses.add_unplaced(Extent::Messages, Some(*rows as u64), what);
                 intake.losses(losses);
             }
+        }
+    }
+}
+
+/// Why a table is no log, if it holds neither joints nor poses.
+fn no_signal(found: &[TableTopic]) -> String {
+    const SHOWN: usize = 4;
+    let names: Vec<&str> = found.iter().map(|found| found.topic.as_str()).collect();
+    let shown = names[..names.len().min(SHOWN)].join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 if names.is_empty() => "it holds no numbers besides its times".to_owned(),
+        0 => format!("its columns hold neither joint positions nor poses: {shown}"),
+        more => {
+            format!("its columns hold neither joint positions nor poses: {shown} and {more} more")
         }
     }
 }

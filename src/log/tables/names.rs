@@ -105,6 +105,7 @@ const OTHER_WORDS: &[&str] = &[
     "forces",
     "wrench",
     "moment",
+    "moments",
     "temperature",
     "temp",
     "acc",
@@ -287,7 +288,6 @@ pub(super) fn is_joint_velocities(words: &[String]) -> bool {
     let of_tool = |word: &String| POSE_WORDS.contains(&word.as_str()) || word.as_str() == "linear";
     contains_any(words, VELOCITY_WORDS)
         && !contains_any(words, OTHER_WORDS)
-        && !contains_any(words, GRIPPER_WORDS)
         && !words.iter().any(of_tool)
         && !is_motor_current(words)
 }

@@ -266,7 +266,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
         assert_eq!(values[3 * 7], 40.0);
     }
     let ragged = parquet(50, 1, Compression::SNAPPY, |row| 6 + row % 2);
-    assert!(refusal(&ragged).contains("no numbers besides its times"), "{}", refusal(&ragged));
+    assert!(refusal(&ragged).contains("neither joint positions nor poses"), "{}", refusal(&ragged));
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn a_column_without_its_dictionary_is_lost() {
     bytes[5] = 2;
     // Only the times remain. The decoder of the crate panics on such a page.
     let line = refusal(&bytes);
-    assert!(line.contains("no numbers besides its times"), "{line}");
+    assert!(line.contains("neither joint positions nor poses"), "{line}");
 }
 
 #[test]
@@ -616,6 +616,41 @@ fn velocities_are_assigned_to_their_joints() {
         .as_bytes(),
     );
     assert_eq!(self::joints(&log, "qd_command").0.len(), 4);
+    // The gripper has one, too.
+    let parts = ["waist", "shoulder", "elbow", "wrist_angle", "left_finger"];
+    let names = parts.map(|part| [format!("{part}_pos"), format!("{part}_vel")]).concat();
+    let names: Vec<&str> =
+        std::iter::once("time").chain(names.iter().map(String::as_str)).collect();
+    let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+    let Some(Columns::Joints(joints)) = &topic(&log, "joints").columns else { panic!("no joints") };
+    let first: Vec<f64> = joints.joints.iter().map(|joint| joint.velocity[0]).collect();
+    assert_eq!(first, [2.0, 4.0, 6.0, 8.0, 10.0]);
+}
+
+#[test]
+fn a_table_of_forces_is_refused_with_its_columns() {
+    let names = ["timestamp", "tcp_force_0", "tcp_force_1", "tcp_force_2", "tcp_force_scalar"];
+    let text = csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64);
+    let error = refusal(text.as_bytes());
+    assert!(error.contains("neither joint positions nor poses: tcp_force_0"), "{error}");
+}
+
+/// Rows that were read too late are lost: 8 or 24 ms apart.
+#[test]
+fn a_column_with_lost_rows_is_a_clock() {
+    let text = |at: fn(usize) -> f64| -> String {
+        let row = |row: usize| {
+            let sines: Vec<String> =
+                (1..7).map(|k| format!("{:.4}", (f64::from(k) * at(row) * 9.0).sin())).collect();
+            format!("{:.6},{}\n", at(row), sines.join(","))
+        };
+        (0..200).map(row).collect()
+    };
+    let log = plain(text(|row| 0.008 * (row + 2 * (row / 2)) as f64).as_bytes());
+    assert!(log.notes.iter().any(|note| note.what.contains("by its numbers")), "{:?}", log.notes);
+    // The steps of an accelerating joint are no multiples.
+    let error = refusal(text(|row| 1e-4 * (row as f64).powi(2)).as_bytes());
+    assert!(error.contains("no column holds times"), "{error}");
 }
 
 #[test]
