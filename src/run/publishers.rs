@@ -132,9 +132,9 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
         false => split_senders(&stamped_s, &extrapolation_error),
     };
     let stamps_show_two = split.as_ref().is_some_and(|two| has_two_senders(&stamped_s, two));
-    let is_one = !stamps_show_two && !(values_disagree && split.is_some());
+    let shows_two = stamps_show_two || (values_disagree && split.is_some());
     // Repeats are as rough as disagreeing publishers.
-    if is_one
+    if !shows_two
         && (rough <= MAX_EXTRAPOLATION_ERROR
             || repeats as f64 > MAX_UNEXPLAINED_SHARE * checked_rows.len() as f64)
     {

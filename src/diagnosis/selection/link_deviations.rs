@@ -527,7 +527,7 @@ impl DeviationModel {
             reported: fit.zeros.iter().map(confounders_of).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
-            unusual: self.unusual_link(fit, &observations.columns),
+            unusual: self.unusual_link(fit, observations.columns),
         }
     }
 
@@ -535,9 +535,8 @@ impl DeviationModel {
     fn unusual_link(&self, fit: &DeviationFit, columns: &[usize]) -> Option<UnusualLink> {
         const CONFIDENCE: f64 = 0.999;
         let displacement = |link: usize| {
-            let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group, unit } if *group == link && *unit == 1.0);
-            let own: Vec<usize> =
-                (0..self.kinds.len()).filter(|&i| is_its(&self.kinds[i])).collect();
+            let own = DeviationParameter::Deviation { group: link, unit: 1.0 };
+            let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
             let mean: Vec<f64> = own.iter().map(|&i| fit.mean[i]).collect();
             let covariance = fit.covariance.select_columns(&own).select_rows(&own);
             let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;

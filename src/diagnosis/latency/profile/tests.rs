@@ -136,24 +136,3 @@ fn a_load_dependent_latency_is_estimated_with_its_range() {
         latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a profile");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
 }
-
-#[test]
-fn further_steps_refine_a_step_or_follow_it() {
-    let size = |value| Measured { value, std_error: 1e-3, dof: 100.0 };
-    let profile = |at_s: f64, by_s: f64, first_s: f64| {
-        let step = LatencyStep { at_s, size_s: size(by_s) };
-        let levels = vec![(0.0, first_s), (at_s, first_s + by_s)];
-        LatencyProfile::from_steps(vec![step], levels, Vec::new()).expect("a step")
-    };
-    let coarse = profile(9.38, 0.218, 0.0);
-    let refined = coarse.clone().with_further_steps(&profile(9.41, 0.053, -0.01)).expect("a step");
-    let [step] = refined.steps.as_slice() else { panic!("{refined:?}") };
-    assert!((step.size_s.value - 0.271).abs() < 1e-12 && step.at_s == 9.38, "{step:?}");
-    assert!((refined.relative_s(20.0) - 0.261).abs() < 1e-12, "{refined:?}");
-    let both = coarse.clone().with_further_steps(&profile(3.0, -0.02, 0.0)).expect("steps");
-    let levels = [1.0, 5.0, 20.0].map(|t_s| both.relative_s(t_s));
-    let expected = [0.0, -0.02, 0.198];
-    assert!(levels.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{levels:?}");
-    let steady = LatencyProfile { steps: Vec::new(), ..coarse };
-    assert_eq!(steady.with_further_steps(&profile(3.0, 0.1, 0.0)), None);
-}
