@@ -144,21 +144,22 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     let is_smoother =
         |parts: &SenderSplit| MIN_ROUGHNESS_RATIO * parts.roughness(&extrapolation_error) <= rough;
     let part = &stamped_s[..stamped_s.len().min(CHECKED_PART_ROWS)];
-    if is_one && !split_senders(part, &extrapolation_error).is_some_and(|parts| is_smoother(&parts))
+    if !shows_two
+        && !split_senders(part, &extrapolation_error).is_some_and(|parts| is_smoother(&parts))
     {
         return None;
     }
     let parts = split
         .or_else(|| split_senders(&stamped_s, &extrapolation_error))
-        .filter(|parts| !is_one || is_smoother(parts))?;
+        .filter(|parts| shows_two || is_smoother(parts))?;
     // Applies the periods of a part to the whole run.
     let rows = match checked_rows.len() == t_s.len() {
         true => parts.rows,
         false => split_by_periods(&t_s, parts.periods_s, &extrapolation_error)?.rows,
     };
     // Jitter of one publisher's stamps makes its values rough, but its halves then agree.
-    build_publishers(series, &t_s, rows, is_one)
-        .filter(|two| is_one || stamps_show_two || two.distance.is_some())
+    build_publishers(series, &t_s, rows, !shows_two)
+        .filter(|two| !shows_two || stamps_show_two || two.distance.is_some())
 }
 
 /// Whether values are interpolated far better by row number than by stamp: one sender reads regularly, but
