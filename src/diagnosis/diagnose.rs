@@ -1,7 +1,7 @@
 //! Diagnosis of an arm's whole run.
 //!
-//! Constant causes are estimated after compensating a variable latency. Joint compliance, change points and a drift of
-//! a frame compete to explain a remaining residual. The likeliest diagnosis wins.
+//! Constant causes are estimated after compensating a variable latency. Joint compliance and changes of causes compete to
+//! explain a remaining residual. The likeliest diagnosis wins, also against changes of encodings.
 //!
 //! Streams are diagnosed together, unless some are FK of the joint states and others show joint zeros.
 
