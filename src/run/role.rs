@@ -462,6 +462,19 @@ mod tests {
     }
 
     #[test]
+    fn only_documented_topics_have_a_convention() {
+        for (topic, documented) in [
+            ("actual_TCP_pose", Some(Convention::RotVec)),
+            ("/ur/actual_TCP_pose", Some(Convention::RotVec)),
+            ("tool_vector_actual", Some(Convention::RotVec)),
+            ("/xarm/tcp_pose", None),
+            ("/tool_position", None),
+        ] {
+            assert_eq!(documented_convention(topic), documented, "{topic}");
+        }
+    }
+
+    #[test]
     fn names_are_split_at_marks_and_capitals() {
         assert_eq!(
             split_words("/iiwa/state/CartesianPose"),

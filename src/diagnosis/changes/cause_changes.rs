@@ -49,7 +49,7 @@ struct Change {
     subject: Subject,
     /// Variable columns in its stream. Of a joint zero, one.
     columns: Range<usize>,
-    /// By the stamps of its stream; of a joint zero, by those of the joints. `None` for a drift over the whole run.
+    /// By the stamps of its stream, or of the joints for a joint zero. `None` for a drift over the whole run.
     step: Option<Jump>,
     /// Half of the change in its columns.
     half: DVector<f64>,
@@ -332,8 +332,8 @@ struct Fit {
     score: f64,
 }
 
-/// Equations of several changes and the constant causes of all streams. Parameters are those of each stream, then those of
-/// each change.
+/// Equations of several changes and the constant causes of all streams. The constant causes of each stream
+/// come first, then the changes.
 struct Equations {
     streams: Vec<StreamEquations>,
     /// Parameters of each change.
@@ -451,7 +451,7 @@ impl RecordedJumps {
         }
     }
 
-    /// The jump that dates a step exactly, if there is one in its interval. A late step leaves a few samples with its whole size.
+    /// The jump that dates a step exactly, if there is one in its interval. If a step is dated late, a few samples keep its whole error.
     fn date(&self, Change { subject, step, .. }: &mut Change) {
         let Some(step) = step else { return };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
@@ -494,7 +494,7 @@ impl Candidate {
         self
     }
 
-    /// Leaves out changes while that is likelier: later ones can explain what an earlier one stood for.
+    /// Drops changes while that is likelier: later ones can explain the residual of an earlier one.
     fn reduced(mut self, streams: &[Stream]) -> Self {
         while self.changes.len() > 1 {
             let without = |left_out: usize| {
@@ -593,7 +593,7 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
     removal
 }
 
-/// Spans between steps of a joint's zero, each with what makes its zero that of the longest span.
+/// Spans between steps of a joint's zero, each with the offset to the zero of the longest span.
 fn zero_spans(run: &ArmRun, changes: &[Change], column: usize) -> Vec<JointPatch> {
     let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
     let mut steps: Vec<(f64, f64)> =
@@ -613,14 +613,14 @@ fn zero_spans(run: &ArmRun, changes: &[Change], column: usize) -> Vec<JointPatch
     spans
 }
 
-/// Corrects joint zeros to that of the longest span.
+/// Corrects joint zeros to the zero of the longest span.
 fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
     let spans = (0..run.joints.dof).flat_map(|column| zero_spans(run, changes, column));
     spans.filter(|span| span.offset != 0.0).collect()
 }
 
 impl Removal {
-    /// The diagnosis with the changes. `None` if one of them is not significant, or they leave a residual that link deviations
+    /// The diagnosis with the changes. `None` if one of them is not significant, or a residual remains that link deviations
     /// do not explain: unknown faults of joints can look like changes.
     fn reported(self, run: &ArmRun, before: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let Self { changes, patches, mut after } = self;
@@ -759,7 +759,7 @@ fn report_confounders(streams: &[PoseStream], after: &mut ArmDiagnosis) {
     }
 }
 
-/// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the run as it is. `None` if
+/// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the uncorrected run. `None` if
 /// nothing changes.
 pub(crate) fn diagnose_with_cause_changes(
     run: &ArmRun,
