@@ -328,22 +328,20 @@ fn rows_polled_too_early_are_no_abrupt_stops() {
         let moved = speeding_up(t_s) + at_speed + slowing_down;
         if turn % 2.0 == 0.0 { moved } else { SPEED - moved }
     };
-    for early_every in [37, 331] {
-        let mut text = "time,q1,q2,q3,q4,q5,q6".to_owned();
-        for row in 0..3000 {
-            let is_early = row * 7919 % early_every == 4;
-            let q = position(0.008 * (row - usize::from(is_early)) as f64);
-            write!(text, "\n{:.3}", 0.008 * row as f64).expect("text");
-            for joint in [0.0, -1.5, 0.2, 0.3, 0.4, 0.5] {
-                write!(text, ",{:.6}", q + joint).expect("text");
-            }
+    let mut text = "time,q1,q2,q3,q4,q5,q6".to_owned();
+    for row in 0..3000 {
+        let is_early = row * 7919 % 37 == 4;
+        let q = position(0.008 * (row - usize::from(is_early)) as f64);
+        write!(text, "\n{:.3}", 0.008 * row as f64).expect("text");
+        for joint in [0.0, -1.5, 0.2, 0.3, 0.4, 0.5] {
+            write!(text, ",{:.6}", q + joint).expect("text");
         }
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("run.csv");
-        fs::write(&path, text).expect("a file");
-        let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
-        assert!(fault_codes(&report).is_empty(), "{early_every}: {:?}", report.findings);
     }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    fs::write(&path, text).expect("a file");
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert!(fault_codes(&report).is_empty(), "{:?}", report.findings);
 }
 
 #[test]

@@ -112,31 +112,13 @@ pub(super) fn joint_evidence(
 pub(super) fn polling_step(run: &Run, stream: usize, samples: &JointSamples<'_>) -> f64 {
     /// For the speed; longer than the age varies.
     const SPEED_WINDOW_S: f64 = 0.1;
-    let (t_s, position) = (&samples.t_s, &samples.position);
     let mut repeats = run.sample_filter.repeated.iter();
-    let polled = repeats.find(|held| held.stream == stream && held.repeated > 0);
-    let interval_s = match polled {
-        Some(held) => 1.0 / held.values_hz,
-        None if encoder_step(position) == 0.0 && has_repeats_in_motion(position) => {
-            (t_s[t_s.len() - 1] - t_s[0]) / (t_s.len() - 1) as f64
-        }
-        None => return 0.0,
+    let Some(held) = repeats.find(|held| held.stream == stream && held.repeated > 0) else {
+        return 0.0;
     };
-    let speeds = rates(t_s, position, SPEED_WINDOW_S).into_iter();
+    let speeds = rates(&samples.t_s, &samples.position, SPEED_WINDOW_S).into_iter();
     let highest = speeds.map(f64::abs).filter(|speed| speed.is_finite()).fold(0.0, f64::max);
-    highest * interval_s
-}
-
-/// Whether rows repeat the previous position although the joint moves on in the same direction. Positions without
-/// encoder steps do so only in rows that are polled.
-fn has_repeats_in_motion(position: &[f64]) -> bool {
-    /// One more than chance.
-    const MIN_REPEATS: usize = 2;
-    let is_repeat = |four: &&[f64]| {
-        let [before, after] = [four[1] - four[0], four[3] - four[2]];
-        four[2] == four[1] && before * after > 0.0
-    };
-    position.windows(4).filter(is_repeat).count() >= MIN_REPEATS
+    highest / held.values_hz
 }
 
 /// Whole turns beyond `limits` of all positions (rad), if subtracting them brings every position within.

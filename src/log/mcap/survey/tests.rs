@@ -8,7 +8,7 @@ use super::*;
 use crate::mcap::tests::{chunks, poses, read_present, with_images};
 use crate::ranges::Ranges;
 use crate::testing::{self, Cdr, LogWriter};
-use crate::{Log, Topic};
+use crate::{Log, Loss, Topic};
 
 /// Bytes that were not requested have the value `hole`.
 fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
@@ -140,11 +140,15 @@ fn unfetched_ranges_are_never_read_as_damage() {
             sparse += u32::from(present != Present::Whole);
             let whole = read(&damaged, &Present::Whole);
             let log = read(&file, &present);
-            // Damage to skipped ranges is not detected.
-            let unheard: Vec<_> =
-                log.losses.iter().filter(|loss| !whole.losses.contains(loss)).collect();
-            assert!(unheard.is_empty(), "{unheard:?} but not {:?}", whole.losses);
-            if log.losses == whole.losses {
+            // Damage to skipped ranges is not detected. Of a damaged chunk, the decompressor may find another part first.
+            let is_known = |loss: &&Loss| {
+                let with_its_text =
+                    |other: &Loss| Loss { what: loss.what.clone(), ..other.clone() };
+                whole.losses.iter().any(|other| with_its_text(other) == **loss)
+            };
+            let unknown: Vec<_> = log.losses.iter().filter(|loss| !is_known(loss)).collect();
+            assert!(unknown.is_empty(), "{unknown:?} but not {:?}", whole.losses);
+            if log.losses.len() == whole.losses.len() {
                 assert_eq!(topic(&log, "/pose"), topic(&whole, "/pose"));
             }
         }
