@@ -313,7 +313,7 @@ fn clean_stream() -> PoseDiagnosis {
         is_nominal: false,
         is_derived: false,
         link_m: None,
-        unusual_link: None,
+        largest_displacement: None,
         observability: None,
         top_speed_m_s: 0.8,
         aligned: AlignedSamples::default(),

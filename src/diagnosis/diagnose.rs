@@ -40,7 +40,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         !has_slow_residual(found) || is_explained_by_links(found, stream)
     };
     let is_open = !together.streams.iter().zip(run.streams).all(is_explained);
-    // A stream in a frame of its own is seen from outside; one in the robot's frame may be the controller's.
+    // A stream in an unknown frame comes from an external sensor; one in the robot's frame may be the controller's.
     if !is_open && run.streams.iter().all(|stream| stream.reference_known) {
         return None;
     }
@@ -79,7 +79,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
 
 fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
     if let Some(by_encodings) = diagnose_with_recorded_encoding_changes(run, diagnose_uniform) {
-        // Between poses in one frame, a drift leaves some segments as logged.
+        // Between poses in one frame, some segments of a drift follow as logged.
         let constant = are_floating(run.streams).then(|| run.diagnose());
         let by_steps = constant.and_then(|constant| diagnose_with_cause_changes(run, &constant));
         return likeliest([by_encodings].into_iter().chain(by_steps))

@@ -170,7 +170,7 @@ pub use robot_models::ranking::{
 pub use samples::aligned::{AlignedSamples, PoseDistances};
 pub use samples::sampling::row_blocks;
 pub use selection::held_out::{HeldOutResidual, StreamHeldOut};
-pub use selection::link_deviations::UnusualLink;
+pub use selection::link_deviations::LinkDisplacement;
 pub use signals::joint_motion::{
     JointSampleKind, LimitViolation, PeakAcceleration, peak_acceleration, position_violation,
     rates, speed_violation, speed_violation_from_positions,
@@ -443,8 +443,8 @@ pub struct PoseDiagnosis {
     pub is_nominal: bool,
     /// Standard deviation of these deviations, m (0.1° per mm).
     pub link_m: Option<f64>,
-    /// Link that deviates more than usual.
-    pub unusual_link: Option<UnusualLink>,
+    /// Of the link that is displaced most, by these deviations.
+    pub largest_displacement: Option<LinkDisplacement>,
     /// Whether the poses are FK of the joint states as recorded, whose zeros another stream contradicts.
     pub is_derived: bool,
     /// Observability. `None` without a fit.

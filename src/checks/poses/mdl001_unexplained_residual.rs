@@ -10,8 +10,8 @@ use crate::checks::residual_attribution::{
 };
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{
-    ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseDiagnosis, PoseEncoding,
-    UnusualLink,
+    ErrorMagnitude, ErrorSize, FkError, LinkDisplacement, Measured, PartError, PoseDiagnosis,
+    PoseEncoding,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
@@ -327,9 +327,9 @@ fn outcome(
         )),
         Attribution::SmallErrors(residual) => Outcome::fail(small(case, residual)),
         Attribution::NominalModel(error) => {
-            let PoseDiagnosis { link_m, unusual_link, .. } = &attributed.stream.diagnosis;
-            Outcome::fail(match unusual_link {
-                Some(link) => unusual(arm, error, link),
+            let PoseDiagnosis { link_m, largest_displacement, .. } = &attributed.stream.diagnosis;
+            Outcome::fail(match largest_displacement.as_ref().filter(|link| is_unusual(link)) {
+                Some(link) => displaced_link(arm, error, link),
                 None => nominal(error, *link_m),
             })
         }
@@ -445,7 +445,15 @@ fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
     }
 }
 
-fn unusual(arm: &ArmEvidence, error: &FkError, link: &UnusualLink) -> Fault {
+/// Whether a link is displaced by significantly more than usual.
+fn is_unusual(LinkDisplacement { length_m, .. }: &LinkDisplacement) -> bool {
+    /// Links of four UR arms in public logs are displaced by at most 1 mm.
+    const MAX_USUAL_M: f64 = 2e-3;
+    const CONFIDENCE: f64 = 0.999;
+    length_m.value - length_m.half_width(CONFIDENCE) > MAX_USUAL_M
+}
+
+fn displaced_link(arm: &ArmEvidence, error: &FkError, link: &LinkDisplacement) -> Fault {
     let name = |column: usize| arm.joints.get(column).map_or("", |joint| &joint.name);
     let [from, to] = link.joints.map(name);
     let length = Unit::Metre.show_measured(&link.length_m);
@@ -466,7 +474,7 @@ fn unusual(arm: &ArmEvidence, error: &FkError, link: &UnusualLink) -> Fault {
                 json!({
                     "joints": [from, to],
                     "displacement_m": displacement_m,
-"ci95_m": [displacement_m - half, displacement_m + half],
+                    "ci95_m": [displacement_m - half, displacement_m + half],
                 }),
             )]
             .into_iter()

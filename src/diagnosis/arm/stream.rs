@@ -54,7 +54,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
         is_nominal: false,
         is_derived: false,
         link_m: None,
-        unusual_link: None,
+        largest_displacement: None,
         observability: None,
         top_speed_m_s: 0.0,
         aligned: AlignedSamples::default(),
@@ -243,7 +243,10 @@ pub(super) fn stream_diagnosis(
         is_nominal: fitted.deviations.is_some(),
         is_derived: false,
         link_m: fitted.deviations.as_ref().map(|deviations| deviations.link_m),
-        unusual_link: fitted.deviations.as_ref().and_then(|deviations| deviations.unusual),
+        largest_displacement: fitted
+            .deviations
+            .as_ref()
+            .and_then(|deviations| deviations.largest_displacement),
         observability: Some(observability),
         top_speed_m_s: position_encoding.top_speed_m_s,
         aligned,

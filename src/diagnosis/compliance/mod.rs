@@ -16,7 +16,7 @@ use crate::arm_run::ArmRun;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
 use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
-use crate::residuals::cause_columns::CauseColumns;
+use crate::residuals::cause_columns::{CauseColumns, ZEROS};
 use crate::residuals::comparison::{has_large_residual, restore_recorded};
 use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
@@ -49,7 +49,8 @@ struct StreamSamples<'a> {
 impl StreamSamples<'_> {
     /// Joint of the chain with this column of the track.
     fn joint(&self, column: usize) -> Option<usize> {
-        self.joints.iter().position(|own| *own == column).filter(|_| !self.q.is_empty())
+        let joint = self.joints.iter().position(|own| *own == column)?;
+        (ZEROS + joint <= self.columns.variable()).then_some(joint)
     }
 }
 

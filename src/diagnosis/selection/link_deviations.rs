@@ -42,8 +42,6 @@ const LINEARIZATION_ROUNDS: usize = 4;
 const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
-/// Links of five UR arms in public logs are displaced by at most 1 mm.
-const MAX_USUAL_DISPLACEMENT_M: f64 = 2e-3;
 
 /// Joint zeros estimated together with link deviations.
 #[derive(Clone, Debug)]
@@ -54,16 +52,16 @@ pub(crate) struct LinkDeviations {
     pub zeros: Vec<Option<Measured>>,
     /// Standard deviation of the links, m.
     pub link_m: f64,
-    /// Link that deviates most, if more than usual.
-    pub unusual: Option<UnusualLink>,
+    /// Of the link that is displaced most.
+    pub largest_displacement: Option<LinkDisplacement>,
 }
 
-/// Link that differs from the model by more than usual.
+/// Displacement of a link's outer end from the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UnusualLink {
+pub struct LinkDisplacement {
     /// Columns of the joints at its ends.
     pub joints: [usize; 2],
-    /// Displacement of its outer end, m.
+    /// Size, m.
     pub length_m: Measured,
 }
 
@@ -527,28 +525,26 @@ impl DeviationModel {
             reported: fit.zeros.iter().map(confounders_of).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
-            unusual: self.unusual_link(fit, observations.columns),
+            largest_displacement: self.largest_displacement(fit, observations.columns),
         }
     }
 
     /// Beyond the first joint and before the last. Other links are the base and the tool.
-    fn unusual_link(&self, fit: &DeviationFit, columns: &[usize]) -> Option<UnusualLink> {
-        const CONFIDENCE: f64 = 0.999;
+    fn largest_displacement(
+        &self,
+        fit: &DeviationFit,
+        columns: &[usize],
+    ) -> Option<LinkDisplacement> {
         let displacement = |link: usize| {
             let own = DeviationParameter::Deviation { group: link, unit: 1.0 };
             let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
             let mean: Vec<f64> = own.iter().map(|&i| fit.mean[i]).collect();
             let covariance = fit.covariance.select_columns(&own).select_rows(&own);
             let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
-            UnusualLink { joints: [columns[link - 1], columns[link]], length_m }
-        };
-        let is_unusual = |UnusualLink { length_m, .. }: &UnusualLink| {
-            length_m.value - length_m.half_width(CONFIDENCE) > MAX_USUAL_DISPLACEMENT_M
+            LinkDisplacement { joints: [columns[link - 1], columns[link]], length_m }
         };
         let links = self.groups().filter(|group| (1..self.joints).contains(group));
-        let largest =
-            links.map(displacement).max_by(|a, b| a.length_m.value.total_cmp(&b.length_m.value));
-        largest.filter(is_unusual)
+        links.map(displacement).max_by(|a, b| a.length_m.value.total_cmp(&b.length_m.value))
     }
 }
 
@@ -614,8 +610,8 @@ mod tests {
     use ground::robot::Chain;
     use ground::stream::{Orientations, PoseTrack};
 
-    /// Joints and length, mm, of an unusual link of an arm that moves like `of`.
-    fn unusual_link(of: &Chain) -> Option<([usize; 2], f64)> {
+    /// Joints and length, mm, of the link that is displaced most, of an arm that moves like `of`.
+    fn largest_displacement(of: &Chain) -> ([usize; 2], f64) {
         let (joints, chain) = arm();
         let mut random = Lcg::new();
         let (xyz, rotations) = joints
@@ -629,9 +625,9 @@ mod tests {
         let orientation = Orientations::Rotations(rotations);
         let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
         let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
-        let link = found.streams[0].unusual_link?;
+        let link = found.streams[0].largest_displacement.expect("a link");
         assert!(found.streams[0].is_nominal);
-        Some((link.joints, 1e3 * link.length_m.value))
+        (link.joints, 1e3 * link.length_m.value)
     }
 
     #[test]
@@ -640,10 +636,11 @@ mod tests {
             let mut deviations = [Pose::identity(); 7];
             let shift = Vec3::new(3e-3, 0.0, 0.0);
             deviations[link] = Pose::from_parts(shift.into(), Rotation::identity());
-            let (joints, length_mm) = unusual_link(&chain_with(&deviations)).expect("a link");
+            let (joints, length_mm) = largest_displacement(&chain_with(&deviations));
             assert_eq!(joints, [link - 1, link]);
             assert!((length_mm - 3.0).abs() < 0.3, "{link}: {length_mm}");
         }
-        assert_eq!(unusual_link(&deviating_chain(5e-4)), None);
+        let (_, usual_mm) = largest_displacement(&deviating_chain(5e-4));
+        assert!(usual_mm < 2.0, "{usual_mm}");
     }
 }

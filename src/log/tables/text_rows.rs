@@ -132,7 +132,7 @@ struct Block<'a> {
     line_count: usize,
     /// Line within which the file ends.
     cut_off: Option<usize>,
-    /// Number of rows, line of the first and what is wrong with it.
+    /// Number of rows, and line and defect of the first.
     malformed: Option<(u64, usize, String)>,
 }
 
@@ -225,7 +225,7 @@ impl<'a> Block<'a> {
     }
 }
 
-/// An empty cell says less than a later text.
+/// A later text is preferred to an empty cell.
 fn prefer_text<'a>(known: &mut Option<&'a [u8]>, other: Option<&'a [u8]>) {
     if known.is_none_or(<[u8]>::is_empty) {
         *known = other.or(*known);
