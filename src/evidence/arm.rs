@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
 use super::joint_axes::JointAxes;
+use super::joint_clock::samples_with_true_stamps;
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{
     DeclaredUnits, ImuEvidence, PoseEvidence, euler, named_units, unidentified_columns,
@@ -280,7 +281,10 @@ pub(super) fn arm_evidence(
         };
         arm_stream_evidence(run, arm, source.stream, found)
     });
-    let samples = run.joint_samples(&arm.joint_sources);
+    let mut samples = run.joint_samples(&arm.joint_sources);
+    if let Some(profile) = &diagnosis.joint_clock {
+        samples.iter_mut().for_each(|joint| *joint = samples_with_true_stamps(joint, profile));
+    }
     let change_points = change_points(&found, arm.joint_sources.len());
     let mut velocities = velocities(&samples, &change_points);
     if found.partial_encoding.is_some() {
@@ -288,14 +292,9 @@ pub(super) fn arm_evidence(
         velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));
     }
     let joint_correction = mending(arm, &found);
-    let actual = arm
-        .before_correction
-        .as_ref()
-        .map(|(_, mending)| mending)
-        .or(joint_correction.as_ref())
-        .cloned();
-    let samples = match &arm.before_correction {
-        Some((_, mending)) => mending.apply_to_samples(&samples),
+    let actual = arm.joint_correction.as_ref().or(joint_correction.as_ref()).cloned();
+    let samples = match &arm.joint_correction {
+        Some(mending) => mending.apply_to_samples(&samples),
         None => samples,
     };
     let samples = in_one_encoding(samples, &found);
@@ -337,7 +336,7 @@ pub(super) fn arm_evidence(
     let of_tf = || {
         let (source, found) = arm.tf.as_ref().ok().zip(diagnosis.tf)?;
         let mut tf = of_poses(source, found, None);
-        if let Some((recorded, _)) = &arm.before_correction {
+        if let Some(recorded) = &arm.recorded_joints {
             let stream = run.pose_stream(source);
             let as_recorded = check_residual(recorded, recorded, &stream, &tf.diagnosis);
             if as_logged_m(&as_recorded) < as_logged_m(&tf.proof) {

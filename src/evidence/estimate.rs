@@ -276,9 +276,9 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
         let found = diagnose_derived(&arm.joints, reading, stream, max_lag_s);
         // Transforms in the log were published without corrections.
         let as_recorded = arm
-            .before_correction
+            .recorded_joints
             .as_ref()
-            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, max_lag_s));
+            .map(|recorded| diagnose_derived(recorded, None, stream, max_lag_s));
         match as_recorded {
             Some(as_recorded) if left(&as_recorded) < left(&found) => as_recorded,
             _ => found,

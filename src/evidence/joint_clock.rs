@@ -1,11 +1,9 @@
 //! Steps of the joint states' clock. All other streams appear to step in the opposite direction at the same time.
 
-use std::sync::Arc;
-
 use super::estimate::ArmStreamsDiagnosis;
 use crate::diagnosis::{LatencyProfile, LatencyShape, LatencyStep, Measured};
-use crate::run::Arm;
-use crate::stats::median;
+use crate::run::{Arm, JointSamples};
+use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::stream::JointTrack;
 
 /// Standard errors of a significant clock skew.
@@ -18,24 +16,33 @@ struct OtherClock<'a> {
     is_skewed: bool,
 }
 
-/// The arm with corrected stamps of the joint states, and the latency profile of the joint states. `None` unless at
-/// least two streams have independent stamps, all of them vary, and one of them has latency steps.
+/// The arm with corrected stamps of the joint states, and their latency profile. `None` unless all streams with
+/// independent stamps vary, and one of them has latency steps. A single one may have stepped itself: then the steps must
+/// show in the joint states.
 pub(super) fn with_corrected_joint_stamps(
     arm: &Arm,
     found: &ArmStreamsDiagnosis,
 ) -> Option<(Arm, LatencyProfile)> {
     let clocks = other_clocks(arm, found);
     let deviates = |clock: &OtherClock| clock.profile.is_unsteady || clock.is_skewed;
-    if arm.trajectory.is_some() || clocks.len() < 2 || !clocks.iter().all(deviates) {
+    if arm.trajectory.is_some() || !clocks.iter().all(deviates) {
         return None;
     }
     let stepped = clocks.iter().filter(|clock| !clock.steps().is_empty());
     let std_error = |clock: &&OtherClock| clock.profile.swing_s.std_error;
     let stepped = stepped.min_by(|a, b| std_error(a).total_cmp(&std_error(b)))?;
-    let steps = stepped.steps_in_stamps(&arm.joints.t_s);
+    let dated: Vec<(LatencyStep, Option<f64>)> =
+        stepped.steps().into_iter().map(|step| (step, jump_at_s(&arm.joints, &step))).collect();
+    if clocks.len() < 2 && dated.iter().any(|(_, at_s)| at_s.is_none()) {
+        return None;
+    }
+    let dated = dated.into_iter();
+    let steps: Vec<LatencyStep> =
+        dated.map(|(step, at_s)| LatencyStep { at_s: at_s.unwrap_or(step.at_s), ..step }).collect();
+    let profile = stepped.profile_of_joints(&steps)?;
     let mut corrected = arm.clone();
-    corrected.joints = Arc::new(corrected_stamps(&arm.joints, stepped, &steps)?);
-    Some((corrected, joint_profile(stepped.profile, &steps)))
+    corrected.replace_joints(with_true_stamps(&arm.joints, &profile));
+    Some((corrected, profile))
 }
 
 /// Whether streams with independent stamps remain comparable, and no latency varies by more than a small share of the
@@ -94,79 +101,109 @@ impl OtherClock<'_> {
         }
     }
 
-    /// Steps, dated by the stamps `t_s` of the joint states: each moves to the interval that is longer by its size, if
-    /// there is one nearby.
-    fn steps_in_stamps(&self, t_s: &[f64]) -> Vec<LatencyStep> {
-        /// A profile dates a step to a window or to the next motion.
-        const MAX_ERROR_S: f64 = 1.5;
-        /// Of the step's size.
-        const MAX_DIFFERENCE_SHARE: f64 = 0.3;
-        let mut intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let period_s = median(&mut intervals).unwrap_or(0.0);
-        let in_stamps = |step: LatencyStep| {
-            let size_s = step.size_s.value;
-            let near = t_s.windows(2).filter(|pair| (pair[0] - step.at_s).abs() < MAX_ERROR_S);
-            let difference = |pair: &[f64]| (pair[1] - pair[0] - period_s + size_s).abs();
-            let interval = near.min_by(|a, b| difference(a).total_cmp(&difference(b)));
-            let interval =
-                interval.filter(|pair| difference(pair) < MAX_DIFFERENCE_SHARE * size_s.abs());
-            let at_s = interval.map_or(step.at_s, |pair| 0.5 * (pair[0] + pair[1]));
-            LatencyStep { at_s, ..step }
-        };
-        self.steps().into_iter().map(in_stamps).collect()
+    /// Profile of the joint states with `steps` of this stream, relative to their smallest latency.
+    fn profile_of_joints(&self, steps: &[LatencyStep]) -> Option<LatencyProfile> {
+        let first = *self.profile.levels.first()?;
+        let mut levels = vec![first];
+        let mut level_s = first.1;
+        for step in steps {
+            level_s += step.size_s.value;
+            levels.push((step.at_s, level_s));
+        }
+        let latency_s = |level: &&(f64, f64)| (self.latency_s + level.1).abs();
+        let least = levels.iter().min_by(|a, b| latency_s(a).total_cmp(&latency_s(b)));
+        let least_s = least.map_or(0.0, |level| level.1);
+        let opposite =
+            |step: &LatencyStep| LatencyStep { size_s: step.size_s.scaled(-1.0), ..*step };
+        let windows = self.profile.windows.iter();
+        Some(LatencyProfile {
+            swing_s: self.profile.swing_s.scaled(-1.0),
+            is_unsteady: true,
+            shape: LatencyShape::Steps,
+            steps: steps.iter().map(opposite).collect(),
+            levels: levels.iter().map(|&(at_s, level_s)| (at_s, least_s - level_s)).collect(),
+            windows: windows.map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
+        })
     }
 }
 
-/// Assumes that the smallest latency is correct.
-fn corrected_stamps(
-    joints: &JointTrack,
-    by: &OtherClock,
-    steps: &[LatencyStep],
-) -> Option<JointTrack> {
-    let levels: Vec<f64> = levels(by.profile, steps).into_iter().map(|level| level.1).collect();
-    let latency = |level_s: &&f64| (by.latency_s + **level_s).abs();
-    let correct_s = *levels.iter().min_by(|a, b| latency(a).total_cmp(&latency(b)))?;
-    let corrected = |t_s: f64| {
-        let level = steps.partition_point(|step| step.at_s < t_s);
-        t_s + levels[level] - correct_s
+/// Time at which the joints move too far or not far enough for their stamps, by as much as `step` of another stream's
+/// latency implies. `None` if there is no such interval near the step.
+fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
+    /// A profile dates a step to a window or to the next motion.
+    const MAX_ERROR_S: f64 = 1.5;
+    /// Of the step's size.
+    const MAX_DIFFERENCE_SHARE: f64 = 0.3;
+    let row = |row: usize| &joints.q[row * joints.dof..(row + 1) * joints.dof];
+    let slope = |from: usize, column: usize| {
+        (row(from + 1)[column] - row(from)[column]) / (joints.t_s[from + 1] - joints.t_s[from])
     };
-    let mut rows: Vec<(f64, usize)> =
-        joints.t_s.iter().enumerate().map(|(row, t_s)| (corrected(*t_s), row)).collect();
-    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
-    rows.dedup_by(|next, kept| next.0 <= kept.0);
+    // Per interval: its middle, the time that its stamps have too much, and the joints' speed.
+    let intervals = (1..joints.t_s.len().saturating_sub(2)).map(|from| {
+        let interval_s = joints.t_s[from + 1] - joints.t_s[from];
+        let (mut along, mut squares) = (0.0, 0.0);
+        for column in 0..joints.dof {
+            let speed = 0.5 * (slope(from - 1, column) + slope(from + 1, column));
+            along += speed * (row(from + 1)[column] - row(from)[column]);
+            squares += speed * speed;
+        }
+        (joints.t_s[from] + 0.5 * interval_s, interval_s - along / squares, squares.sqrt())
+    });
+    let moving = intervals.filter(|interval| interval.1.is_finite());
+    let near: Vec<_> =
+        moving.filter(|interval| (interval.0 - step.at_s).abs() < MAX_ERROR_S).collect();
+    let mut errors: Vec<f64> =
+        near.iter().map(|interval| (interval.1 * interval.2).abs()).collect();
+    let noise = STD_DEV_PER_MEDIAN * median(&mut errors)?;
+    let size_s = -step.size_s.value;
+    let difference = |interval: &(f64, f64, f64)| (interval.1 - size_s).abs();
+    let visible = near.iter().filter(|interval| interval.2 * size_s.abs() > MIN_STD_ERRORS * noise);
+    let best = visible.min_by(|a, b| difference(a).total_cmp(&difference(b)))?;
+    (difference(best) < MAX_DIFFERENCE_SHARE * size_s.abs()).then_some(best.0)
+}
+
+/// Joint states with stamps without the latency of `profile`. Rows that are then out of order are left out.
+fn with_true_stamps(joints: &JointTrack, profile: &LatencyProfile) -> JointTrack {
+    let rows = rows_in_true_order(&joints.t_s, profile);
     let values = |all: &[f64]| {
         let rows = rows.iter().flat_map(|(_, row)| &all[row * joints.dof..(row + 1) * joints.dof]);
         rows.copied().collect()
     };
-    Some(JointTrack {
+    JointTrack {
         t_s: rows.iter().map(|(t_s, _)| *t_s).collect(),
         q: values(&joints.q),
         qd: values(&joints.qd),
         ..joints.clone()
-    })
-}
-
-/// Levels of a profile with these steps. Those of a ramp contain its slope.
-fn levels(profile: &LatencyProfile, steps: &[LatencyStep]) -> Vec<(f64, f64)> {
-    let Some(first) = profile.levels.first().copied() else { return Vec::new() };
-    let later = steps.iter().scan(first.1, |level_s, step| {
-        *level_s += step.size_s.value;
-        Some((step.at_s, *level_s))
-    });
-    std::iter::once(first).chain(later).collect()
-}
-
-/// Profile of the joint states against a stream with this profile and these steps.
-fn joint_profile(other: &LatencyProfile, steps: &[LatencyStep]) -> LatencyProfile {
-    let step = |step: &LatencyStep| LatencyStep { size_s: step.size_s.scaled(-1.0), ..*step };
-    LatencyProfile {
-        swing_s: other.swing_s.scaled(-1.0),
-        is_unsteady: true,
-        shape: LatencyShape::Steps,
-        steps: steps.iter().map(step).collect(),
-        levels: levels(other, steps).into_iter().map(|(at_s, level_s)| (at_s, -level_s)).collect(),
-        windows: other.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     }
+}
+
+/// The same for the samples of one joint.
+pub(super) fn samples_with_true_stamps<'a>(
+    samples: &JointSamples<'a>,
+    profile: &LatencyProfile,
+) -> JointSamples<'a> {
+    let rows = rows_in_true_order(&samples.t_s, profile);
+    let values = |all: &[f64]| rows.iter().filter_map(|(_, row)| all.get(*row).copied()).collect();
+    JointSamples {
+        t_s: rows.iter().map(|(t_s, _)| *t_s).collect(),
+        position: values(&samples.position),
+        velocity: values(&samples.velocity),
+    }
+}
+
+fn rows_in_true_order(t_s: &[f64], profile: &LatencyProfile) -> Vec<(f64, usize)> {
+    let latency_s = |t_s: f64| {
+        let level = profile.levels.partition_point(|level| level.0 < t_s).saturating_sub(1);
+        profile.levels.get(level).map_or(0.0, |level| level.1)
+    };
+    let mut last_s = f64::NEG_INFINITY;
+    let rows = t_s.iter().enumerate().map(|(row, t_s)| (t_s - latency_s(*t_s), row));
+    rows.filter(|(t_s, _)| {
+        let is_later = *t_s > last_s;
+        last_s = last_s.max(*t_s);
+        is_later
+    })
+    .collect()
 }
 
 #[cfg(test)]
@@ -185,32 +222,51 @@ mod tests {
         }
     }
 
-    /// 10 s at 100 Hz; stamps from `from_s` on are late by `late_s`. Each position is its true time.
-    fn joints(from_s: f64, late_s: f64) -> JointTrack {
-        let true_s: Vec<f64> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
-        let stamp = |t_s: &f64| if *t_s < from_s { *t_s } else { t_s + late_s };
-        let t_s = true_s.iter().map(stamp).collect();
-        JointTrack { t_s, dof: 1, qd: vec![1.0; 1000], q: true_s, noise: Vec::new() }
+    /// 10 s at 100 Hz, late by `late_s` from `from_s` on: the stamps step, or the positions. Each position is its true
+    /// time.
+    fn joints(from_s: f64, late_s: f64, do_stamps_step: bool) -> JointTrack {
+        let regular: Vec<f64> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
+        let late_by = |t_s: f64| if t_s < from_s { 0.0 } else { late_s };
+        let (t_s, q) = match do_stamps_step {
+            true => (regular.iter().map(|t_s| t_s + late_by(*t_s)).collect(), regular),
+            false => (regular.clone(), regular.iter().map(|t_s| t_s - late_by(*t_s)).collect()),
+        };
+        JointTrack { t_s, dof: 1, qd: vec![1.0; 1000], q, noise: Vec::new() }
     }
 
     #[test]
     fn stamps_after_or_before_a_step_are_corrected() {
-        for (late_s, latency_s, levels) in [
+        for (latency_s, levels, do_stamps_step) in [
             // The stream is in time before the step, or after it.
-            (0.03, 0.0, [0.0, -0.03]),
-            (0.03, 0.0, [0.03, 0.0]),
-            (0.03, 0.005, [0.0, -0.03]),
+            (0.0, [0.0, -0.03], true),
+            (0.0, [0.03, 0.0], true),
+            (0.005, [0.0, -0.03], true),
+            // Positions of the last 30 ms are repeated.
+            (0.0, [0.0, -0.03], false),
         ] {
+            let late_s = levels[0] - levels[1];
             // Dated half a second late.
             let profile = steps(5.5, levels);
             let by = OtherClock { latency_s, profile: &profile, is_skewed: false };
-            let joints = joints(5.0, late_s);
-            let steps = by.steps_in_stamps(&joints.t_s);
-            let corrected = corrected_stamps(&joints, &by, &steps).expect("levels");
+            let joints = joints(5.0, late_s, do_stamps_step);
+            let step = by.steps()[0];
+            let at_s = jump_at_s(&joints, &step).expect("a jump");
+            let profile = by.profile_of_joints(&[LatencyStep { at_s, ..step }]).expect("levels");
+            let corrected = with_true_stamps(&joints, &profile);
             let offset_s = if levels[0] == 0.0 { 0.0 } else { late_s };
             let pairs = corrected.t_s.iter().zip(&corrected.q);
             let worst = pairs.map(|(t_s, true_s)| (t_s - true_s - offset_s).abs());
-            assert!(worst.fold(0.0, f64::max) < 1e-9, "{late_s} {levels:?}");
+            assert!(worst.fold(0.0, f64::max) < 1e-9, "{levels:?} {do_stamps_step}");
+            assert!(corrected.t_s.len() > 990);
         }
+    }
+
+    #[test]
+    fn gaps_are_no_steps_of_the_clock() {
+        let mut joints = joints(20.0, 0.0, true);
+        for values in [&mut joints.t_s, &mut joints.q, &mut joints.qd] {
+            values.drain(500..503);
+        }
+        assert_eq!(jump_at_s(&joints, &steps(5.0, [0.0, -0.03]).steps[0]), None);
     }
 }

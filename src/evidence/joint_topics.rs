@@ -1,7 +1,6 @@
 //! Latency between several topics of joint states of one arm.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 use super::estimate::{ArmStreamsDiagnosis, position_factor};
 use crate::diagnosis::{LateJoints, Measured, with_earlier_joints};
@@ -42,7 +41,7 @@ pub(super) fn with_corrected_topic(
         LateJoints::find(&arm.joints, &run.pose_stream(source), start, &groups)?;
     let joints = with_earlier_joints(&arm.joints, &groups[group], latency_s.value);
     let mut corrected = arm.clone();
-    corrected.joints = Arc::new(joints);
+    corrected.replace_joints(joints);
     let other = topics.iter().copied().find(|other| *other != topics[group])?;
     Some((corrected, JointTopicLatency { stream: topics[group], other, latency_s }))
 }

@@ -66,8 +66,7 @@ pub(crate) fn build_figures(
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // The publisher of the log's transforms uses uncorrected joint states.
-            let joints =
-                arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
+            let joints = arm.recorded_joints.as_ref().unwrap_or(&arm.joints);
             let drawn = pose_figure(&clock, joints, source, (facts, stream), plots);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }

@@ -43,8 +43,10 @@ pub struct Arm {
     pub joints: Arc<JointTrack>,
     /// Origin of each column.
     pub joint_sources: Vec<JointSource>,
-    /// Joint states before the correction, and the correction.
-    pub before_correction: Option<(Arc<JointTrack>, JointStateCorrection)>,
+    /// Joint states as recorded, if `joints` are corrected.
+    pub recorded_joints: Option<Arc<JointTrack>>,
+    /// Correction of the values in `joints`.
+    pub joint_correction: Option<JointStateCorrection>,
     /// Measured and candidate tool poses.
     pub poses: Vec<PoseSource>,
     /// Tip poses from the log's transforms, or why there are none.
@@ -238,7 +240,8 @@ impl Arm {
             joint_names,
             joints: merged.track,
             joint_sources: merged.sources,
-            before_correction: None,
+            recorded_joints: None,
+            joint_correction: None,
             poses: Vec::new(),
             tf: Err(TfUnavailable::NoTransforms),
             from_model: Vec::new(),
@@ -284,9 +287,14 @@ impl Arm {
     }
 
     pub(crate) fn correct_joints(&mut self, correction: JointStateCorrection) {
-        let corrected = correction.apply(&self.joints);
-        let recorded = std::mem::replace(&mut self.joints, Arc::new(corrected));
-        self.before_correction = Some((recorded, correction));
+        self.replace_joints(correction.apply(&self.joints));
+        self.joint_correction = Some(correction);
+    }
+
+    /// Replaces the joint states, and keeps those that were recorded.
+    pub(crate) fn replace_joints(&mut self, corrected: JointTrack) {
+        let replaced = std::mem::replace(&mut self.joints, Arc::new(corrected));
+        self.recorded_joints.get_or_insert(replaced);
     }
 
     /// Whether this arm includes a joint of `path`.

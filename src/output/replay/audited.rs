@@ -84,7 +84,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
             .joint_sources
             .first()
             .map_or_else(ReceiveTimes::default, |joint| receive_times(run, joint.stream)),
-        recorded: arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
+        recorded: arm.recorded_joints.as_ref().unwrap_or(&arm.joints),
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.are_prismatic()),
         streams: poses.chain(tf).collect(),
         imus: imus
