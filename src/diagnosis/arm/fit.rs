@@ -15,10 +15,13 @@ use crate::selection::link_deviations::{
 use crate::selection::model_selection::{
     CandidateCauses, Cause, SelectedModel, SelectionStart, select_from_starts, select_model,
 };
-use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
+use crate::selection::nominal_model::{
+    MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms, skew_beside_link_deviations,
+};
 use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
+use ground::stats::Measured;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -31,6 +34,8 @@ pub(super) struct ArmFit {
     /// Joint zeros with link deviations, if a nominal model is compared with a calibrated arm. Causes that
     /// deviations can imitate are then not reported.
     pub(super) deviations: Option<LinkDeviations>,
+    /// Per stream, beside these deviations.
+    pub(super) skews: Vec<Option<Measured>>,
 }
 
 static FULL_FITS: AtomicUsize = AtomicUsize::new(0);
@@ -41,6 +46,53 @@ pub fn full_fit_count() -> usize {
 }
 
 pub(super) fn fit(
+    decoded: &[&DecodedStream],
+    corrected: &CorrectedJoints,
+    with_offsets: bool,
+) -> Option<ArmFit> {
+    let fitted = fit_with_link_deviations(decoded, corrected, with_offsets)?;
+    let observations: Vec<&PoseObservations> =
+        decoded.iter().map(|decoded| &decoded.observations).collect();
+    Some(with_hidden_skews(fitted, &observations))
+}
+
+/// Measures the skews of an arm whose links deviate: in its residual, the selection of causes cannot see small ones.
+fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
+    if fitted.deviations.is_none() {
+        return fitted;
+    }
+    let State { offsets, streams } = fitted.exact_state();
+    let skew = |s: usize| {
+        let is_candidate = fitted.candidates.all().contains(&Cause::Skew(s));
+        let found = || skew_beside_link_deviations(observations[s], &streams[s], &offsets);
+        is_candidate.then(found).flatten()
+    };
+    let skews: Vec<Option<(Measured, bool)>> = (0..streams.len()).map(skew).collect();
+    let is_hidden =
+        |cause: &Cause| matches!(*cause, Cause::Skew(s) if skews[s].is_some_and(|skew| skew.1));
+    let mut candidates = fitted.candidates;
+    let (hidden, optional): (Vec<Cause>, Vec<Cause>) = candidates
+        .optional
+        .into_iter()
+        .partition(|cause| is_hidden(cause) && !fitted.model.causes.contains(cause));
+    candidates.optional = optional;
+    let model = match hidden.is_empty() {
+        true => fitted.model,
+        false => {
+            candidates.always.extend(&hidden);
+            let start = State { offsets, streams };
+            let at_state = SelectionStart::AtState;
+            let mut model = select_model(observations, start, &candidates, at_state, FIT_SAMPLES);
+            model.causes.extend(hidden);
+            model.causes.sort_unstable();
+            model
+        }
+    };
+    let skews = skews.into_iter().map(|skew| skew.map(|skew| skew.0)).collect();
+    ArmFit { model, candidates, skews, ..fitted }
+}
+
+fn fit_with_link_deviations(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
     with_offsets: bool,
@@ -110,7 +162,7 @@ pub(super) fn fit(
     let is_of_calibrated =
         |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
-        let fitted = ArmFit { model, candidates, deviations: None };
+        let fitted = ArmFit { model, candidates, deviations: None, skews: Vec::new() };
         return Some(match with_offsets && has_links {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
@@ -127,7 +179,7 @@ pub(super) fn fit(
     let start = State { offsets, streams: plain };
     let model =
         select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
-    Some(ArmFit { model, candidates, deviations })
+    Some(ArmFit { model, candidates, deviations, skews: Vec::new() })
 }
 
 impl ArmFit {
@@ -183,7 +235,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
         rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
     });
     match is_within_calibration {
-        true => ArmFit { model, candidates, deviations: nominal },
+        true => ArmFit { model, candidates, deviations: nominal, skews: Vec::new() },
         false => fitted,
     }
 }

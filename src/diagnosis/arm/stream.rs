@@ -158,6 +158,10 @@ pub(super) fn stream_diagnosis(
         Some(lags) => Err(NotObservable::Periodic(lags)),
         None => latency_s,
     };
+    let skew = match fitted.skews.get(index).copied().flatten() {
+        Some(skew) => Ok(skew),
+        None => one(Cause::Skew(index)),
+    };
     let frame = |cause: Cause| {
         if fitted.deviations.is_some() && !candidates.all().contains(&cause) {
             return Err(NotObservable::NominalKinematics);
@@ -222,7 +226,7 @@ pub(super) fn stream_diagnosis(
         degrees: decoded.degrees,
         latency_s,
         delay_jitter: delays,
-        skew: one(Cause::Skew(index)).map(|skew| Measured {
+        skew: skew.map(|skew| Measured {
             // Stamp errors at both ends look like skew.
             std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
             ..skew

@@ -7,6 +7,7 @@ use super::map::{Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, c
 use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
 use crate::frames::position_fit::spread;
+use crate::priors::FLANGE_PRIOR_M;
 use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -28,7 +29,9 @@ const MIN_RESIDUAL_RATIO: f64 = 2.0;
 /// A costlier interpretation is selected only if the cheaper one exceeds this multiple of the least
 /// residual.
 const MAX_COMPETITOR_RATIO: f64 = 4.0;
-/// A cheaper interpretation below this residual is kept.
+/// A cheaper interpretation below this residual is kept: link deviations explain it.
+const MAX_MODEL_RESIDUAL_M: f64 = 2.0 * FLANGE_PRIOR_M;
+/// Smaller residuals distinguish no interpretations.
 const RESIDUAL_FLOOR_M: f64 = 3e-4;
 const ORDER_PRICE: f64 = 1.5;
 /// Costlier sets of reversed joints are one mirrored axis instead.
@@ -149,7 +152,7 @@ fn refine_and_select(
         .map(|polished| (price(&polished), polished))
         .collect();
     let min_residual = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
-    let max_equivalent = (MAX_COMPETITOR_RATIO * min_residual).max(RESIDUAL_FLOOR_M);
+    let max_equivalent = (MAX_COMPETITOR_RATIO * min_residual).max(MAX_MODEL_RESIDUAL_M);
     let equivalent = polished.iter().filter(|(_, one)| {
         is_within(&one.residual, max_residual) && together(one) <= max_equivalent
     });

@@ -16,7 +16,7 @@ use crate::model::measurement::{
 };
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
-use crate::{LatencyProfile, LatencyRamp};
+use crate::{LatencyProfile, LatencyRamp, Measured};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
@@ -100,6 +100,23 @@ pub(crate) fn link_deviations_beat_profile(
     let without_profile = without_profile.weights_after(&vec![0.0; without_profile.width]);
     let price = price(calibration.samples as f64) * profile.parameters() as f64;
     calibration.gain_over(&without_profile) + price > calibration.price()
+}
+
+/// Clock skew of a stream beside link deviations, and whether it is likelier than none. `state` is the stream's.
+pub(crate) fn skew_beside_link_deviations(
+    observations: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> Option<(Measured, bool)> {
+    let rows = (0..observations.len()).step_by(observations.len().div_ceil(MAX_SAMPLES).max(1));
+    let frames = link_frames(observations, state, offsets, rows, FreeAlongside::Skew);
+    let fit = LinkFrameChanges::fit_to(&frames, observations, state);
+    let skew = frames.width - 1;
+    let variance = fit.normal.matrix.clone().cholesky()?.inverse()[(skew, skew)];
+    let dof = (fit.normal.independent - frames.width as f64).max(1.0);
+    let is_likelier = fit.step[skew].powi(2) / variance > price(fit.normal.independent);
+    let value = state.skew + fit.step[skew];
+    Some((Measured { value, std_error: variance.sqrt(), dof }, is_likelier))
 }
 
 pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
@@ -234,6 +251,7 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FreeAlongside {
     Nothing,
+    Skew,
     /// Every joint zero of the chain.
     Zeros,
     ZerosAndRadialScale,
@@ -254,6 +272,7 @@ pub(crate) fn link_frames(
         + 1
         + match with {
             FreeAlongside::Nothing => 0,
+            FreeAlongside::Skew => 1,
             FreeAlongside::Zeros => joints,
             FreeAlongside::ZerosAndRadialScale => joints + 1,
         };
@@ -282,9 +301,17 @@ pub(crate) fn link_frames(
                 set(6 * i + 3 + axis, [lever, unit]);
             }
         }
-        set(latency, jacobian.velocity(qd).map(|part| -part));
-        for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
-            set(latency + 1 + joint, jacobian.joint(joint));
+        let late = jacobian.velocity(qd).map(|part| -part);
+        set(latency, late);
+        match with {
+            FreeAlongside::Nothing => {}
+            FreeAlongside::Skew => {
+                let from_middle_s = observations.t_s[k] - observations.middle_s;
+                set(latency + 1, late.map(|part| from_middle_s * part));
+            }
+            FreeAlongside::Zeros | FreeAlongside::ZerosAndRadialScale => {
+                (0..joints).for_each(|joint| set(latency + 1 + joint, jacobian.joint(joint)));
+            }
         }
         if with == FreeAlongside::ZerosAndRadialScale {
             let from_base = tip - stream_state.reference.translation.vector;
