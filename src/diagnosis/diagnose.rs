@@ -11,7 +11,9 @@ use crate::changes::{
     constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_encoding_changes,
     diagnose_with_recorded_encoding_changes, is_explained_by_links,
 };
-use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
+use crate::compliance::{
+    diagnose_scale_as_compliance, diagnose_with_compliance, diagnose_with_gains,
+};
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::has_slow_residual;
 use crate::selection::evidence::{fits_as_well, likeliest};
@@ -121,7 +123,8 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let by_compliance = by_compliance.filter(|it| {
         !are_steps_enough || !it.joints.compliance.iter().any(JointCompliance::is_eccentric)
     });
-    likeliest(by_compliance.into_iter().chain(by_steps))
+    let by_gains = diagnose_with_gains(run, constant);
+    likeliest(by_compliance.into_iter().chain(by_steps).chain(by_gains))
 }
 
 #[cfg(test)]

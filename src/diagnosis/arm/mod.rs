@@ -158,25 +158,7 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
     if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         encoding = Err(NotObservable::NotExcited);
     }
-    if let Ok(encoding) = &mut encoding {
-        for unit_error in &mut encoding.unit_errors {
-            let stream_of_residual =
-                result.scales.iter().find(|scale| scale.column == unit_error.column);
-            unit_error.factor =
-                stream_of_residual.map_or(unit_error.factor, |scale| scale.factor.value);
-        }
-    }
-    let EncodingResult { offsets, mut scales, mut couplings, streams } = result;
-    if let Ok(encoding) = &mut encoding {
-        let is_one = |factor: f64| (factor - 1.0).abs() < FACTOR_TOLERANCE;
-        scales.retain(|scale| !is_one(scale.factor.value));
-        encoding.unit_errors.retain(|unit_error| {
-            unit_error.unit != JointUnit::Scaled || !is_one(unit_error.factor)
-        });
-        couplings.retain(|coupling| coupling.factor.value.abs() > FACTOR_TOLERANCE);
-        encoding.couplings.clone_from(&couplings);
-    }
-    ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
+    result.to_diagnosis(encoding)
 }
 
 /// Diagnoses joint states and streams without looking for another joint encoding.
@@ -185,19 +167,29 @@ pub(super) fn diagnose_arm_as_logged(
     streams: &[PoseStream],
     max_lag_s: f64,
 ) -> ArmDiagnosis {
-    let is_prismatic = prismatic_columns(joints.dof, streams);
-    let corrected = CorrectedJoints::new(joints, &JointEncoding::default(), &is_prismatic);
+    diagnose_arm_encoded(joints, streams, max_lag_s, JointEncoding::default())
+}
+
+/// Diagnoses joint states in this encoding. Scales and couplings are refined.
+pub(super) fn diagnose_arm_encoded(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    max_lag_s: f64,
+    encoding: JointEncoding,
+) -> ArmDiagnosis {
+    let corrected =
+        CorrectedJoints::new(joints, &encoding, &prismatic_columns(joints.dof, streams));
     let position_encodings = streams
         .iter()
-        .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
+        .map(|stream| {
+            PositionEncodingEstimate::estimate(corrected.approximate_track(), stream, max_lag_s)
+        })
         .collect::<Vec<_>>();
     let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
         diagnose(joints, &corrected, streams, position_encodings, true)
     };
-    let EncodingResult { offsets, scales, streams, .. } =
-        diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
-    let encoding = Ok(JointEncoding::default());
-    ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
+    let result = diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
+    result.to_diagnosis(Ok(encoding))
 }
 
 /// Counts as 1: less than 0.1° per turn.
@@ -238,6 +230,25 @@ impl EncodingResult {
         let is_sufficient =
             is_explained && standard.is_close_to_fk() && standard.zero_count() <= self.zero_count();
         if is_sufficient { standard } else { self }
+    }
+
+    /// The diagnosis, with refined scales and couplings in `encoding`. Those that are 1 and 0 are left out.
+    fn to_diagnosis(self, mut encoding: EstimateResult<JointEncoding>) -> ArmDiagnosis {
+        let Self { offsets, mut scales, mut couplings, streams } = self;
+        if let Ok(encoding) = &mut encoding {
+            for unit_error in &mut encoding.unit_errors {
+                let refined = scales.iter().find(|scale| scale.column == unit_error.column);
+                unit_error.factor = refined.map_or(unit_error.factor, |scale| scale.factor.value);
+            }
+            let is_one = |factor: f64| (factor - 1.0).abs() < FACTOR_TOLERANCE;
+            scales.retain(|scale| !is_one(scale.factor.value));
+            encoding.unit_errors.retain(|unit_error| {
+                unit_error.unit != JointUnit::Scaled || !is_one(unit_error.factor)
+            });
+            couplings.retain(|coupling| coupling.factor.value.abs() > FACTOR_TOLERANCE);
+            encoding.couplings.clone_from(&couplings);
+        }
+        ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
     }
 
     fn zero_count(&self) -> usize {

@@ -5,6 +5,7 @@
 //! last motion (hysteresis), gravity torque, or joint angle. Compliance is reported only if correcting it
 //! reduces the residual substantially.
 
+mod gains;
 mod gravity;
 mod search;
 mod shapes;
@@ -23,6 +24,7 @@ use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
 
+pub(super) use gains::diagnose_with_gains;
 use gravity::MassModel;
 use search::{ComplianceSearch, MASS_STD_ERROR};
 use shapes::USUAL_COMPLIANCE_RAD;
@@ -98,7 +100,7 @@ pub(super) fn diagnose_with_compliance(
 }
 
 /// Diagnosis with compliance, if it explains a joint scale in `diagnosis` about as well. Over a small range,
-/// sag looks like a scale of 1 %, and no gear or encoder has such a ratio.
+/// sag looks like a scale of 1 %, which is rarer. Eccentric gears are rarer still.
 pub(super) fn diagnose_scale_as_compliance(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,
@@ -110,7 +112,9 @@ pub(super) fn diagnose_scale_as_compliance(
         return None;
     }
     let after = run.fit_compliance(&run.diagnose_as_logged())?;
-    (log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER).then_some(after)
+    let is_usual = !after.joints.compliance.iter().any(JointCompliance::is_eccentric);
+    (is_usual && log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER)
+        .then_some(after)
 }
 
 /// Whether sizes differ by less than they are uncertain.

@@ -106,6 +106,11 @@ impl<'a> ComplianceSystem<'a> {
         self.profiled.cost_after(&step)
     }
 
+    /// Best value of a coefficient alone.
+    pub fn best_value(&self, coefficient: usize) -> f64 {
+        self.profiled.step(&DVector::zeros(self.coefficients), &[coefficient])[coefficient]
+    }
+
     /// `Σ n·ln σ`.
     pub fn noise(&self) -> f64 {
         let of_stream = |(linear, weights): (&Linear, &Vec<Weight>)| {

@@ -72,15 +72,16 @@ fn noises(stream: &PoseDiagnosis, link_m: f64) -> [ResidualNoise; 2] {
     ]
 }
 
-/// Without latencies and encodings that hold for the whole run.
+/// Without latencies, and encodings other than scales and couplings, that hold for the whole run.
 fn parameter_count(diagnosis: &ArmDiagnosis) -> usize {
-    let JointDiagnosis { offsets, scales, changes, compliance, partial_encoding, .. } =
+    let JointDiagnosis { encoding, offsets, scales, changes, compliance, partial_encoding, .. } =
         &diagnosis.joints;
     let of_change = |change: &JointChange| {
         usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
     };
     offsets.iter().filter(|offset| offset.is_chosen).count()
         + scales.len()
+        + encoding.as_ref().map_or(0, |encoding| encoding.couplings.len())
         + 2 * changes.iter().map(of_change).sum::<usize>()
         + compliance.iter().map(JointCompliance::parameters).sum::<usize>()
         + usize::from(partial_encoding.is_some())
