@@ -12,7 +12,7 @@ use crate::changes::{
     diagnose_with_recorded_encoding_changes, is_explained_by_links,
 };
 use crate::compliance::{
-    diagnose_scale_as_compliance, diagnose_with_compliance, diagnose_with_gains,
+    diagnose_gains_as_compliance, diagnose_with_compliance, diagnose_with_gains,
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::has_slow_residual;
@@ -103,27 +103,32 @@ fn diagnose_uniform(run: &ArmRun) -> ArmDiagnosis {
     diagnosis
 }
 
-/// Diagnosis with joint compliance, or changes of causes. `None` if `constant` is likelier.
+/// Diagnosis with joint compliance, scales and couplings of joints, or changes of causes. `None` if `constant` is likelier.
 fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     let is_within_links = !are_floating(run.streams) && constant_frames_suffice(constant);
     // Link deviations look like sag and eccentricity, but not like backlash.
     let is_distinct = |it: &ArmDiagnosis| {
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
-    let by_steps = diagnose_with_cause_changes(run, constant);
-    let by_compliance = diagnose_scale_as_compliance(run, constant)
-        .or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let is_explained = |it: &ArmDiagnosis| {
         let mut streams = it.streams.iter().zip(run.streams);
         !it.streams.iter().any(has_slow_residual)
             || streams.all(|(found, stream)| is_explained_by_links(found, stream))
     };
+    let by_gains = diagnose_with_gains(run, constant);
+    let gains_as_compliance =
+        diagnose_gains_as_compliance(run, by_gains.as_ref().unwrap_or(constant));
+    if by_gains.as_ref().is_some_and(is_explained) {
+        return gains_as_compliance.or(by_gains);
+    }
+    let by_steps = diagnose_with_cause_changes(run, constant);
+    let by_compliance =
+        gains_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
     // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
     let by_compliance = by_compliance.filter(|it| {
         !are_steps_enough || !it.joints.compliance.iter().any(JointCompliance::is_eccentric)
     });
-    let by_gains = diagnose_with_gains(run, constant);
     likeliest(by_compliance.into_iter().chain(by_steps).chain(by_gains))
 }
 

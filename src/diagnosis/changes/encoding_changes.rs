@@ -6,11 +6,13 @@
 
 use std::cell::LazyCell;
 
-use super::constant_frames_suffice;
 use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use super::patches::{decoded_poses, with_poses};
 use super::split_run::{Span, SplitRun};
-use super::{ChangePoint, EncodingSpans, JointChange, JointPatch};
+use super::{
+    ChangePoint, EncodingSpans, JointChange, JointPatch, constant_frames_suffice,
+    is_explained_by_links,
+};
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
 use crate::latency::compensation::with_tracks;
@@ -34,7 +36,10 @@ pub(crate) fn diagnose_with_encoding_changes(
     constant: &ArmDiagnosis,
     diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    if !constant.streams.iter().any(has_slow_residual) {
+    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
+        has_slow_residual(found) && !is_explained_by_links(found, stream)
+    };
+    if !constant.streams.iter().zip(run.streams).any(is_open) {
         return None;
     }
     let lag_s = |(stream, found): (&PoseStream, &PoseDiagnosis)| match &found.latency_s {

@@ -99,16 +99,19 @@ pub(super) fn diagnose_with_compliance(
     Some(after)
 }
 
-/// Diagnosis with compliance, if it explains a joint scale in `diagnosis` about as well. Over a small range,
+/// Diagnosis with compliance, if it explains a joint's scale or coupling in `diagnosis` about as well. Over a small range,
 /// sag looks like a scale of 1 %, which is rarer. Eccentric gears are rarer still.
-pub(super) fn diagnose_scale_as_compliance(
+pub(super) fn diagnose_gains_as_compliance(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
     let is_odd = |scale: &JointScale| {
         !scale.is_coded() && (!scale.is_round() || scale.factor.value.round() == 1.0)
     };
-    if !diagnosis.joints.scales.iter().any(is_odd) {
+    let is_coupled =
+        |encoding: &JointEncoding| encoding.couplings.iter().any(|coupling| !coupling.is_round());
+    let joints = &diagnosis.joints;
+    if !joints.scales.iter().any(is_odd) && !joints.encoding.as_ref().is_ok_and(is_coupled) {
         return None;
     }
     let after = run.fit_compliance(&run.diagnose_as_logged())?;

@@ -15,6 +15,8 @@ use std::f64::consts::TAU;
 /// Per kind on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES` samples.
 const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
+/// Of the residuals then: others do not converge to the least one.
+const MAX_ROUGH_RATIO: f64 = 30.0;
 const ROUGH_SAMPLES: usize = 20;
 /// Steps of the full refinement.
 const MAX_STEPS: usize = 25;
@@ -145,6 +147,8 @@ fn refine_and_select(
         })
         .collect();
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let least = rough.first().map_or(0.0, |first| first.0).max(RESIDUAL_FLOOR_M);
+    rough.retain(|(residual, _)| *residual < MAX_ROUGH_RATIO * least);
     rough.truncate(REFINED_PROPOSALS);
     let polished: Vec<(f64, RefinedProposal)> = rough
         .into_par_iter()
