@@ -212,8 +212,8 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
-    /// With weak motion, a fault can look like mirrored axes or an inverse. These are rejected if the poses as
-    /// logged need no more joint zeros and are explained, or fit better.
+    /// With weak motion, a fault can look like mirrored axes or an inverse. These are rejected if the poses are near FK
+    /// as logged, or need no more joint zeros and frame errors and are explained or fit better.
     fn or_standard(
         self,
         position_encodings: &[PositionEncodingEstimate],
@@ -227,9 +227,26 @@ impl EncodingResult {
         let standard = diagnose(&standard);
         let is_explained = standard.largest_unexplained().is_none()
             || standard.total_residual_m() <= self.total_residual_m();
-        let is_sufficient =
-            is_explained && standard.is_close_to_fk() && standard.zero_count() <= self.zero_count();
-        if is_sufficient { standard } else { self }
+        let is_sufficient = is_explained
+            && standard.is_close_to_fk()
+            && standard.zero_count() <= self.zero_count()
+            && standard.frame_count() <= self.frame_count();
+        if standard.is_near_as_logged() || is_sufficient { standard } else { self }
+    }
+
+    /// All streams differ from FK by no more than calibrations do, without any correction.
+    fn is_near_as_logged(&self) -> bool {
+        let is_near = |residual: &StreamResidual| {
+            residual.before_m < MAX_TIP_CHANGE_M && residual.before_rad < MAX_TIP_CHANGE_RAD
+        };
+        self.streams
+            .iter()
+            .all(|stream| stream.encoding.is_ok() && stream.residual.as_ref().is_ok_and(is_near))
+    }
+
+    fn frame_count(&self) -> usize {
+        let frames = self.streams.iter().flat_map(|stream| [&stream.reference, &stream.tool]);
+        frames.flatten().filter(|frame| frame.is_chosen).count()
     }
 
     /// The diagnosis, with refined scales and couplings in `encoding`. Those that are 1 and 0 are left out.

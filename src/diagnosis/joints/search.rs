@@ -315,7 +315,7 @@ fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointPropos
     (1..1u32 << moving.len()).map(flipped).collect()
 }
 
-/// Common factor of all revolute joints that is not round.
+/// Common factor of all revolute joints that is not round, such as that of a unit.
 fn common_gear(
     view: &InterpretedPoses,
     base: &JointMap,
@@ -325,6 +325,8 @@ fn common_gear(
     const MAX_RANGE_RAD: f64 = 2.0 * TAU;
     const MIN_RANGE_SHARE: f64 = 0.01;
     const FACTOR_STEP: f64 = 1.04;
+    /// Of the factor, from 1. No unit differs by so little.
+    const MIN_DIFFERENCE: f64 = 0.05;
     let kinds = view.chain.joint_kinds();
     let turning: Vec<usize> = moving_joints(view, base)
         .into_iter()
@@ -351,7 +353,9 @@ fn common_gear(
         [factor, -factor].map(|factor| unrefined(scaled(factor), 1.25 + ODD_SCALE_PRICE))
     });
     let best = best_proposals(view, tried.collect(), freedom, 1).pop()?;
-    Some(JointProposal { factors: turning, ..best })
+    let is_unit =
+        turning.iter().all(|&joint| (best.map.factor[joint] - 1.0).abs() > MIN_DIFFERENCE);
+    is_unit.then_some(JointProposal { factors: turning, ..best })
 }
 
 fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
