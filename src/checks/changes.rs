@@ -2,7 +2,9 @@
 
 use serde_json::{Value, json};
 
-use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
+use crate::checks::decision::{
+    Decision, FrameThresholds, PASS_CONFIDENCE, Threshold, decide, decide_frame,
+};
 use crate::checks::frames::{pose_json, show};
 use crate::checks::{Case, SubjectResult};
 use crate::diagnosis::{ChangePoint, EncodingSpans, FrameChange, Measured, ScalarChange};
@@ -183,7 +185,14 @@ pub fn judge_scalar_change(
         effect_m,
         all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
     };
-    (outcome(decide(&change.size, threshold, case.evidence.subjects()), report), estimate)
+    // Its selection has shown that there is a change. The interval contains few degrees of freedom.
+    let is_significant =
+        change.size.value.abs() > threshold.unit.half_width(&change.size, PASS_CONFIDENCE);
+    let decision = match threshold.severity(change.size.value.abs()) {
+        Some(severity) if is_significant => Decision::Fail(severity),
+        _ => decide(&change.size, threshold, case.evidence.subjects()),
+    };
+    (outcome(decision, report), estimate)
 }
 
 fn outcome(decision: Decision, report: ChangeReport) -> Outcome {

@@ -7,7 +7,7 @@ use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 const FAIL_CONFIDENCE: f64 = 0.999;
 
 /// The interval at this level is reported, and must be narrow for a rule to pass.
-const PASS_CONFIDENCE: f64 = 0.95;
+pub(in crate::checks) const PASS_CONFIDENCE: f64 = 0.95;
 
 pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 

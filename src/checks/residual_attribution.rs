@@ -163,10 +163,20 @@ pub(super) fn attribute_residual(
     {
         return Some(Attribution::WithinNoise);
     }
+    let causes = InconclusiveCauses::collect(outcomes, arm, stream);
+    let as_logged = || Some(&proof.as_logged);
+    // Without the corrections of causes that no rule reports.
+    let uncorrected = match (causes.joints.is_empty(), causes.poses.is_empty()) {
+        (true, true) => None,
+        (false, true) => proof.poses_corrected.as_ref().or_else(as_logged),
+        (true, false) => proof.joints_corrected.as_ref().or_else(as_logged),
+        (false, false) => as_logged(),
+    };
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| diagnosis.is_nominal)
         && (explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
             || explained.angle.as_ref().is_some_and(|it| it.whole.rms > MIN_NOMINAL_RESIDUAL_RAD))
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
+        && uncorrected.is_none_or(|error| is_hardly_larger(error, explained))
     {
         return Some(Attribution::NominalModel(explained.clone()));
     }
@@ -192,21 +202,13 @@ pub(super) fn attribute_residual(
         }
         residual => residual,
     };
-    let causes = InconclusiveCauses::collect(outcomes, arm, stream);
-    let as_logged = || Some(&proof.as_logged);
-    let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
-        (true, true) => None,
-        (false, true) => proof.poses_corrected.as_ref().or_else(as_logged),
-        (true, false) => proof.joints_corrected.as_ref().or_else(as_logged),
-        (false, false) => as_logged(),
-    };
     Some(
-        match unexplained.map_or(residual, |error| {
+        match uncorrected.map_or(residual, |error| {
             ExceedingResidual::from_error(error, thresholds, noise_multiple)
         }) {
             Some(residual)
                 if noise_multiple > 0.0
-                    && unexplained.is_none()
+                    && uncorrected.is_none()
                     && residual.is_sum_of_small_errors(thresholds) =>
             {
                 Attribution::SmallErrors(residual)
@@ -222,6 +224,16 @@ pub(super) fn attribute_residual(
             },
         },
     )
+}
+
+/// Whether corrections change a residual by no more than a nominal model may leave.
+fn is_hardly_larger(uncorrected: &FkError, explained: &FkError) -> bool {
+    let exceeds = |uncorrected: &ErrorSize, explained: &ErrorSize, limit: f64| {
+        uncorrected.whole.rms > explained.whole.rms + limit
+    };
+    let angles = uncorrected.angle.as_ref().zip(explained.angle.as_ref());
+    !exceeds(&uncorrected.length, &explained.length, MIN_NOMINAL_RESIDUAL_M)
+        && !angles.is_some_and(|(one, other)| exceeds(one, other, MIN_NOMINAL_RESIDUAL_RAD))
 }
 
 /// Effect of correcting the poses alone, if too large for several causes below their thresholds. A rule

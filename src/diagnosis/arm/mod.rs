@@ -143,7 +143,12 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
             |_| stream_lag_s(joints, stream_of_residual, max_lag_s),
             |latency| latency.value,
         );
-        let other = other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual);
+        // Rotations in an unknown convention show whether the last joint is reversed, positions do not.
+        let is_unread =
+            matches!(result.streams[stream].encoding, Err(NotObservable::DoesNotFollow(_)));
+        let last = stream_of_residual.columns.last().filter(|_| is_unread);
+        let other = other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual)
+            .or_else(|| last.map(|&last| JointEncoding::reversed(last, residual.m)));
         if let Some(other) = other {
             let by_other = diagnose_as(&other);
             if by_other.is_credible()
@@ -324,7 +329,9 @@ impl EncodingResult {
         let worst = residuals.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
         let ResidualSize { m, rad } = worst.1;
         let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
-        (is_open && !self.streams[worst.0].is_nominal).then_some(worst)
+        // Links do not explain rotations that do not follow the arm.
+        let is_nominal = self.streams[worst.0].is_nominal && rad != Some(UNREAD_RAD);
+        (is_open && !is_nominal).then_some(worst)
     }
 }
 
@@ -409,7 +416,10 @@ fn total_excess_m(streams: &[PoseDiagnosis]) -> f64 {
     streams.iter().map(|stream| combined_m(&excess_residual(stream))).sum()
 }
 
-/// 1 m and 1 rad if not decoded.
+/// Of rotations that do not follow the arm.
+const UNREAD_RAD: f64 = 1.0;
+
+/// 1 m and [`UNREAD_RAD`] if not decoded.
 fn excess_residual(stream: &PoseDiagnosis) -> ResidualSize {
     match (&stream.residual, &stream.encoding) {
         (Ok(residual), Ok(_)) => {
@@ -417,10 +427,12 @@ fn excess_residual(stream: &PoseDiagnosis) -> ResidualSize {
         }
         // Positions are valid, e.g. if the last joint's sign is wrong.
         (Ok(residual), Err(NotObservable::DoesNotFollow(_))) => {
-            ResidualSize { m: residual.excess_m.value, rad: Some(1.0) }
+            ResidualSize { m: residual.excess_m.value, rad: Some(UNREAD_RAD) }
         }
         (Ok(residual), Err(_)) => ResidualSize { m: residual.excess_m.value, rad: None },
-        (Err(_), Err(NotObservable::DoesNotFollow(_))) => ResidualSize { m: 1.0, rad: Some(1.0) },
+        (Err(_), Err(NotObservable::DoesNotFollow(_))) => {
+            ResidualSize { m: 1.0, rad: Some(UNREAD_RAD) }
+        }
         (Err(_), _) => ResidualSize { m: 0.0, rad: None },
     }
 }

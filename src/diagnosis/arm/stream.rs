@@ -68,7 +68,8 @@ impl PoseDiagnosis {
             held_out.is_none_or(|held_out| held_out.is_lower())
         };
         let StreamHeldOut { skew, radial_scale, reference, tool, .. } = &self.held_out;
-        self.is_skew_chosen &= is_lower(skew);
+        // Their error from link deviations hides that of a skew.
+        self.is_skew_chosen &= self.is_nominal || is_lower(skew);
         self.is_radial_scale_chosen &= is_lower(radial_scale);
         for (frame, held_out) in [(&mut self.reference, reference), (&mut self.tool, tool)] {
             if let Ok(frame) = frame {
@@ -191,13 +192,13 @@ pub(super) fn stream_diagnosis(
         Ok(_) => {
             let speed = |t_s: f64| joint_speed(recorded, t_s - stream_state.latency_s);
             let profile = latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed);
-            let states = [stream_state, &without_small_causes(model, index)];
+            let state = without_small_causes(model, index);
             let is_imitated_by_links = |profile: &LatencyProfile| {
                 let removed = stream.removed_ramp;
                 profile.is_unsteady
                     && link_deviations_beat_profile(
                         &decoded.observations,
-                        states,
+                        &state,
                         zeros,
                         profile,
                         removed,

@@ -40,6 +40,13 @@ pub struct JointEncoding {
 }
 
 impl JointEncoding {
+    /// One joint is reversed, which leaves this residual of the positions.
+    pub(crate) fn reversed(column: usize, residual_m: f64) -> Self {
+        let unit_error = JointUnitError { column, unit: JointUnit::Scaled, factor: -1.0 };
+        let residual = UnitResiduals { as_logged: residual_m, corrected: residual_m };
+        Self { unit_errors: vec![unit_error], residual: Some(residual), ..Self::default() }
+    }
+
     /// Apart from zeros.
     pub fn is_as_logged(&self) -> bool {
         self.degrees.is_none()

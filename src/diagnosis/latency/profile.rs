@@ -30,7 +30,7 @@ use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 use shapes::{Basis, Fit, likeliest_shape};
-use windows::{NormalizedSample, Window, effective_count, normalized, windows};
+use windows::{NormalizedSample, Window, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -275,7 +275,9 @@ pub(crate) fn fit_profile(
     skew: f64,
     removed_ramp: Option<&LatencyRamp>,
 ) -> EstimateResult<LatencyProfile> {
-    const MIN_WINDOWS: f64 = 4.0;
+    /// With a standard error that distinguishes latencies that matter, s.
+    const MIN_WINDOWS: usize = 4;
+    const MAX_STD_ERROR_S: f64 = 2e-3;
     let mut samples = normalized(latency_samples);
     if let Some(ramp) = removed_ramp {
         samples.iter_mut().for_each(|sample| sample.t_s = ramp.logged_s(sample.t_s));
@@ -290,7 +292,8 @@ pub(crate) fn fit_profile(
     if windows.is_empty() {
         return Err(NotObservable::AtRest);
     }
-    if effective_count(&windows) < MIN_WINDOWS {
+    let is_precise = |window: &&Window| window.latency_s.std_error < MAX_STD_ERROR_S;
+    if windows.iter().filter(is_precise).count() < MIN_WINDOWS {
         return Err(NotObservable::NotExcited);
     }
     let Some(fit) = likeliest_shape(&windows) else { return Err(NotObservable::NotExcited) };

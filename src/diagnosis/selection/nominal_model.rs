@@ -64,14 +64,13 @@ pub(crate) fn is_nominal(
     calibration.gain_over(&without_change) + saved > calibration.price()
 }
 
-/// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
-/// latency `profile`. Slow motion hides large latency changes, and link deviations resemble one there.
+/// Whether link deviations with a constant latency are as likely as with the unsteady latency `profile`. Slow motion
+/// hides large latency changes, and link deviations resemble one there.
 ///
-/// `fitted` is the state with all causes, `stream_state` without those of calibrations, both at stamps without
-/// `removed`.
+/// `state` has no causes that calibrations explain, and is that at stamps without `removed`.
 pub(crate) fn link_deviations_beat_profile(
     observations: &PoseObservations,
-    [fitted, stream_state]: [&StreamState; 2],
+    state: &StreamState,
     offsets: &[f64],
     profile: &LatencyProfile,
     removed: Option<&LatencyRamp>,
@@ -84,22 +83,21 @@ pub(crate) fn link_deviations_beat_profile(
     let logged = at_stamps(&logged_s);
     let steady = at_stamps(&|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
     let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let as_logged = logged.linearize(stream_state, offsets, stride);
+    let as_logged = logged.linearize(state, offsets, stride);
     if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
         || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
     {
         return false;
     }
-    let calibration = LinkFrameChanges::fit(&logged, stream_state, offsets, stride);
     // The levels contain the skew; the constant latency absorbs its pivot.
-    let mut state = StreamState { skew: 0.0, ..fitted.clone() };
+    let mut steady_state = StreamState { skew: 0.0, ..state.clone() };
     for _ in 0..2 {
-        state.latency_s += steady.residual_at_latency(&state, offsets, MAX_SAMPLES).1;
+        steady_state.latency_s += steady.residual_at_latency(&steady_state, offsets, MAX_SAMPLES).1;
     }
-    let without_profile = steady.linearize(&state, offsets, stride);
-    let without_profile = without_profile.weights_after(&vec![0.0; without_profile.width]);
-    let price = price(calibration.samples as f64) * profile.parameters() as f64;
-    calibration.gain_over(&without_profile) + price > calibration.price()
+    let constant = LinkFrameChanges::fit(&logged, state, offsets, stride);
+    let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets, stride);
+    let price = price(unsteady.samples as f64) * profile.parameters() as f64;
+    unsteady.gain_over(&constant.weights) <= price
 }
 
 /// Clock skew of a stream beside link deviations, and whether it is likelier than none. `state` is the stream's.
