@@ -176,9 +176,16 @@ pub(super) fn attribute_residual(
         && (explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
             || explained.angle.as_ref().is_some_and(|it| it.whole.rms > MIN_NOMINAL_RESIDUAL_RAD))
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
-        && uncorrected.is_none_or(|error| is_hardly_larger(error, explained))
     {
-        return Some(Attribution::NominalModel(explained.clone()));
+        let larger = uncorrected.filter(|error| !is_hardly_larger(error, explained));
+        let larger = larger
+            .and_then(|error| ExceedingResidual::from_error(error, thresholds, noise_multiple));
+        return Some(match larger {
+            Some(residual) => {
+                Attribution::Undetermined(residual, [causes.joints, causes.poses].concat())
+            }
+            None => Attribution::NominalModel(explained.clone()),
+        });
     }
     if ExceedingResidual::from_error(&proof.as_logged, thresholds, 0.0).is_none() {
         return Some(Attribution::BelowThresholds);

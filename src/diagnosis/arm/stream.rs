@@ -12,7 +12,7 @@ use crate::latency::profile::latency_profile;
 use crate::model::measurement::StreamState;
 use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
-use crate::samples::sampling::MAX_SEARCH_SAMPLES;
+use crate::samples::sampling::{MAX_SEARCH_SAMPLES, rest_speeds};
 use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
 use crate::selection::nominal_model::link_deviations_beat_profile;
 use crate::{
@@ -188,9 +188,11 @@ pub(super) fn stream_diagnosis(
     let information = model.linear.information_of(index);
     let observability =
         Observability::new(&decoded.observations, stream_state, zeros, &information);
+    let rest_speeds = rest_speeds(recorded);
     let profile = match &latency_s {
         Ok(_) => {
-            let speed = |t_s: f64| joint_speed(recorded, t_s - stream_state.latency_s);
+            let speed =
+                |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - stream_state.latency_s);
             let profile = latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed);
             let state = without_small_causes(model, index);
             let is_imitated_by_links = |profile: &LatencyProfile| {
@@ -258,10 +260,13 @@ pub(super) fn stream_diagnosis(
     }
 }
 
-/// Speed at the sample before, rad/s.
-fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
+/// Speed at the sample before, rad/s. 0 if all joints rest.
+fn joint_speed(joints: &JointTrack, rest_speeds: &[f64], t_s: f64) -> f64 {
     let row = joints.t_s.partition_point(|at_s| *at_s <= t_s).saturating_sub(1);
     let rates = joints.qd.chunks_exact(joints.dof.max(1)).nth(row).unwrap_or_default();
+    if rates.iter().zip(rest_speeds).all(|(rate, rest)| rate.abs() <= *rest) {
+        return 0.0;
+    }
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 

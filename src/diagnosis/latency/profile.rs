@@ -355,12 +355,17 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
         let (corrected, expected) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
         let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
         let span_s = t[k + 1] - t[k - 1];
-        let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
+        let speed = speed(t[k]);
+        // The noise of joints at rest is no velocity.
+        let velocity = match speed > 0.0 {
+            true => [position(after, before) / span_s, rotation(after, before) / span_s],
+            false => [Vec3::zeros(); 2],
+        };
         LatencySample {
             t_s: t[k],
             residual: [position(corrected, expected), rotation(corrected, expected)],
             velocity,
-            loads: [speed(t[k]), velocity[0].norm()],
+            loads: [speed, velocity[0].norm()],
             joint_noise: 0.0,
         }
     })

@@ -10,7 +10,7 @@ fn truth(t_s: f64) -> Pose {
 }
 
 fn profile_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
-    latency_profile(aligned, skew, None, |_| 0.0)
+    latency_profile(aligned, skew, None, |_| 1.0)
 }
 
 /// Tool speed, m/s.
