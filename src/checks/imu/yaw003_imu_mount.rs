@@ -106,7 +106,8 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
     let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
     let slips = imu.diagnosis.mount_change.as_ref().and_then(|change| {
         let decision = decide_length(&change.size_rad, &threshold, case.evidence.subjects());
-        matches!(decision, Decision::Fail(_)).then_some((decision, change))
+        let is_vague = change.size_rad.norm.half_width(0.95) > threshold.error;
+        (matches!(decision, Decision::Fail(_)) && !is_vague).then_some((decision, change))
     });
     let judged = match (&imu.diagnosis.mount_rad, slips) {
         (_, Some((decision, change))) => {
