@@ -479,6 +479,22 @@ fn a_folder_of_several_runs_suggests_the_fleet() {
 }
 
 #[test]
+fn findings_that_need_no_arm_fail_a_log_without_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("poses.csv");
+    // One of seven rows is lost.
+    let row =
+        |at: usize| format!("{:.3},{:.6},0.1,0.2\n", 0.01 * at as f64, (0.02 * at as f64).sin());
+    let rows: String = (0..900).filter(|at| at % 7 != 3).map(row).collect();
+    fs::write(&path, "time,x,y,z\n".to_owned() + &rows).expect("a file");
+    let output = poseaudit(&["audit", &path.display().to_string()]);
+    let text = stdout(&output);
+    assert_eq!(status(&output), 1, "{text}");
+    assert!(text.contains("TIM002") && text.contains("NO AUDIT"), "{text}");
+    assert!(text.contains("exit status 1: the findings above need no arm"), "{text}");
+}
+
+#[test]
 fn the_recording_command_is_the_first_line_of_record_list() {
     for source in ["ur5e", CLEAN] {
         let output = poseaudit(&["record-list", source]);

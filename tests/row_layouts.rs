@@ -121,6 +121,29 @@ fn one_moving_joint_and_its_rate_are_enough_for_a_proposal() {
     assert_eq!((pasted.error, pasted.robots[0].name.as_str()), (None, "ur5e"));
 }
 
+#[test]
+fn columns_that_never_change_are_proposed_as_joints_at_rest() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = CLEAN.rows().swap_remove(0);
+    let row = |row: Vec<f64>| [&row[..1], &first[1..7], &[0.0, 0.0]].concat();
+    let rows: Vec<Vec<f64>> = CLEAN.rows().into_iter().map(row).collect();
+    let names = "timestamp,state_0,state_1,state_2,state_3,state_4,state_5,drive,turn\n";
+    let logs = [write(folder.path(), "run.csv", &(names.to_owned() + &text(&rows)))];
+    let open = audit_with(&logs, None, None).expect("a report");
+    let what = open.error.expect("a question").what;
+    assert!(what.contains("never change") && what.contains("--columns 't,q[6],_[2]'"), "{what}");
+}
+
+#[test]
+fn a_file_that_names_its_joints_needs_no_layout() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows = Table { poses: false, ..CLEAN }.rows();
+    let logs = [write(folder.path(), "joint_positions.csv", &text(&rows))];
+    let found = audit_with(&logs, Some("ur5e"), None).expect("a report");
+    assert_eq!((found.error, found.robots[0].name.as_str()), (None, "ur5e"));
+    assert_eq!(found.streams[0].topic, "joint_positions");
+}
+
 /// Joints from 0, poses from `origin_s` on, in two files with different rates.
 fn two_files(folder: &Path, origin_s: f64, latency_s: f64) -> [PathBuf; 2] {
     let rows = Table { latency_s, ..CLEAN }.rows();

@@ -59,6 +59,9 @@ impl From<TroubleKind> for Outcome {
 impl From<&Report> for Outcome {
     fn from(report: &Report) -> Self {
         match &report.error {
+            Some(trouble) if trouble.kind == TroubleKind::Log && report.fails_without_arm() => {
+                Outcome::Findings
+            }
             Some(trouble) => trouble.kind.into(),
             None if report.fails() => Outcome::Findings,
             None => Outcome::Clean,

@@ -80,8 +80,8 @@ pub enum Container {
     Tum,
     /// KITTI odometry poses.
     Kitti,
-    /// Times of KITTI odometry poses.
-    KittiTimes,
+    /// Times of the rows of another file.
+    Times,
     /// NumPy array.
     Npy,
     /// Archive of NumPy arrays.
@@ -116,7 +116,7 @@ impl Container {
             Container::Csv => "csv",
             Container::Tum => "tum",
             Container::Kitti => "kitti",
-            Container::KittiTimes => "kitti-times",
+            Container::Times => "times",
             Container::Npy => "npy",
             Container::Npz => "npz",
             Container::Parquet => "parquet",

@@ -116,6 +116,9 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
             rtde::FirstLine::Other if let Some(kind) = tables::detect_trajectory(bytes) => {
                 return FileFormat::Table(kind);
             }
+            rtde::FirstLine::Other if tables::is_list_of_times(bytes) => {
+                return FileFormat::Table(tables::TableFormat::Times);
+            }
             rtde::FirstLine::Other if tables::is_yaml_list(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Yaml);
             }
@@ -124,6 +127,9 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
             }
             rtde::FirstLine::Other if tables::looks_like_yaml(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Yaml);
+            }
+            rtde::FirstLine::Other if tables::is_table_of_text(bytes) => {
+                "a table of text, not of numbers"
             }
             rtde::FirstLine::Other => "text",
         }

@@ -248,6 +248,15 @@ impl Intake {
         (topic.cells, topic.velocity_cells) = (cells, velocity_cells);
     }
 
+    /// Adds columns of another table that hold the velocities of a channel's joints.
+    pub(super) fn add_velocities(&mut self, channel: ChannelId, name: &str, cells: Vec<TableCell>) {
+        let topic = &mut self.topics[self.channels[channel.0].topic];
+        if let Some(how) = &mut topic.read_as {
+            *how += &format!("; velocities in {name}");
+        }
+        topic.velocity_cells = cells;
+    }
+
     /// Index of the table; episodes with the same columns are one.
     pub(super) fn table(&mut self, shape: TableShape) -> usize {
         let is_same =

@@ -60,8 +60,9 @@ pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{RemoteFault, RemoteObject, is_url, list, normalize_url};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning,
-    RowLayout, enclosing_dataset, episodes, is_dataset, is_store, split_episode, store_files,
+    COMMAND_WORDS, ColumnSelector, ColumnSettings, DeclaredPose, FileLayout, LayoutError,
+    LayoutItem, Meaning, RowLayout, enclosing_dataset, episodes, is_dataset, is_store,
+    split_episode, store_files,
 };
 
 /// Local file named by `path` or a `file://` URL. `None` for an object in a store.
@@ -120,9 +121,9 @@ pub fn looks_like_log(head: &[u8]) -> bool {
         file_format::FileFormat::Table(tables::TableFormat::Csv) => tables::has_time(head),
         file_format::FileFormat::Table(tables::TableFormat::Json) => tables::has_record_times(head),
         // A list of times, or the settings of anything.
-        file_format::FileFormat::Table(
-            tables::TableFormat::KittiTimes | tables::TableFormat::Yaml,
-        ) => false,
+        file_format::FileFormat::Table(tables::TableFormat::Times | tables::TableFormat::Yaml) => {
+            false
+        }
         _ => true,
     }
 }

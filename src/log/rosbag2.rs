@@ -33,6 +33,9 @@ pub(super) use self::database::read as read_database;
 
 const METADATA: &str = "metadata.yaml";
 
+/// Of a file beside the tables of a run.
+const NOT_READ: &str = "was not read: neither its rows nor its name show what it holds";
+
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 #[derive(Deserialize)]
@@ -66,6 +69,9 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<LogInpu
     let path = folder.join(METADATA);
     if !path.is_file() {
         let inputs = logs_in(folder)?;
+        for path in unread_tables(folder, &inputs) {
+            intake.note(&path, NOT_READ.to_owned());
+        }
         if inputs.iter().any(|input| is_bag_file(&input.path)) {
             let count = inputs.len();
             intake.note(
@@ -158,6 +164,18 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let tables: Vec<PathBuf> = paths.iter().filter(|path| is_text_table(path)).cloned().collect();
     let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
     let runs = || LogError::Runs { path: folder.to_owned() };
+    if paths.iter().all(|path| tables.contains(path)) && have_different_columns(&tables) {
+        let bare = files_in(folder).map_err(|source| LogError::io(folder, source))?;
+        let bare: Vec<PathBuf> = bare.into_iter().filter(|path| is_bare_table(path)).collect();
+        match tables::are_one_run(&bare.iter().map(PathBuf::as_path).collect::<Vec<_>>()) {
+            Some(true) => {
+                let all: BTreeSet<PathBuf> = tables.into_iter().chain(bare).collect();
+                return Ok(all.into_iter().map(LogInput::bag_file).collect());
+            }
+            Some(false) if tables.is_empty() => return Err(runs()),
+            _ => {}
+        }
+    }
     let is_of_tables = paths.iter().all(|path| tables.contains(path));
     if tables.len() > 1 && is_of_tables && recording_names(&tables).len() > 1 {
         return match have_different_columns(&tables) {
@@ -187,6 +205,29 @@ fn have_different_columns(paths: &[PathBuf]) -> bool {
 
 fn is_text_table(path: &Path) -> bool {
     columns_of(path).is_some()
+}
+
+/// A table whose columns have no names or no times, or the times of one.
+fn is_bare_table(path: &Path) -> bool {
+    let format = MappedFile::open(path).map(|mapped| file_format::detect_format(mapped.bytes()));
+    let Ok(FileFormat::Table(format)) = format else { return false };
+    matches!(format, TableFormat::Csv | TableFormat::Npy | TableFormat::Times)
+        && !is_text_table(path)
+}
+
+/// Text files beside the tables of a run that are named as one.
+fn unread_tables(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
+    if !inputs.iter().all(|input| is_bare_table(&input.path) || is_text_table(&input.path)) {
+        return Vec::new();
+    }
+    let extensions: BTreeSet<&OsStr> =
+        inputs.iter().filter_map(|input| input.path.extension()).collect();
+    let mut paths = files_in(folder).unwrap_or_default();
+    paths.retain(|path| {
+        let is_read = inputs.iter().any(|input| input.path == *path);
+        !is_read && path.extension().is_some_and(|own| extensions.contains(own))
+    });
+    paths
 }
 
 /// Names of the columns of a text table. `None` if none is a time.

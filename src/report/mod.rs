@@ -383,6 +383,12 @@ impl Report {
         }
     }
 
+    /// Whether rules other than those of the file itself fail a log without an arm.
+    pub fn fails_without_arm(&self) -> bool {
+        let reaches = |finding: &Finding| self.fail_on.is_some_and(|it| finding.severity >= it);
+        self.findings.iter().any(|finding| !finding.code.starts_with("ING") && reaches(finding))
+    }
+
     /// Exit status with its reason, if the verdict does not imply it.
     pub fn exit_explanation(&self) -> Option<String> {
         let open = self.undecided_requirements();

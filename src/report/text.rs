@@ -86,7 +86,12 @@ impl<'a> TextReport<'a> {
             Some(trouble) => {
                 let text = sanitize(&format!("{}: {}", trouble.place, trouble.what)).into_owned();
                 out.line(&format!("{ERROR}NO AUDIT{ERROR:#}  "), 2, &text)?;
-                out.note(FIX, NOTE_INDENT, &trouble.remedy)
+                out.note(FIX, NOTE_INDENT, &trouble.remedy)?;
+                if self.report.fails_without_arm() {
+                    let why = "exit status 1: the findings above need no arm";
+                    return out.line("  ", 2, why);
+                }
+                Ok(())
             }
             None => self.verdict(out),
         }

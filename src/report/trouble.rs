@@ -140,9 +140,11 @@ impl From<LogError> for Trouble {
                 format!("it holds more than {most} episodes"),
                 "select one as FILE#EPISODE, or audit each with `poseaudit fleet`",
             ),
-            LogError::NoMessages { path, cause } => {
-                (path, format!("no messages can be read: {cause}"), "record again")
-            }
+            LogError::NoMessages { path, cause } => (
+                path,
+                format!("no messages can be read: {cause}"),
+                "correct the file, or record again",
+            ),
             LogError::Temporary { path, source } => {
                 let folder = std::env::temp_dir();
                 let what = format!("it cannot be unpacked in {}: {source}", folder.display());

@@ -13,6 +13,8 @@ pub enum RunError {
         commands: Vec<String>,
         /// Unresolved ambiguity of a table's columns.
         question: Option<String>,
+        /// Whether the log consists of tables.
+        is_of_tables: bool,
     },
     /// No finite sample has all joints of the arm.
     NoSamples {
@@ -154,8 +156,13 @@ impl RunError {
     pub fn what(&self) -> String {
         match self {
             Self::NoJointStates { question: Some(question), .. } => question.clone(),
-            Self::NoJointStates { commands, .. } if commands.is_empty() => {
-                "the log has no joint states".to_owned()
+            Self::NoJointStates { commands, is_of_tables, .. } if commands.is_empty() => {
+                match is_of_tables {
+                    true => {
+                        "no columns hold joint positions, by their names and numbers".to_owned()
+                    }
+                    false => "the log has no joint states".to_owned(),
+                }
             }
             Self::NoJointStates { commands, .. } => {
                 format!("the log has joint commands ({}) but no joint states", few(commands))
@@ -269,10 +276,11 @@ impl RunError {
             Self::NoJointStates { question: Some(_), .. } => {
                 "pass that option, or name the arm with --robot"
             }
-            Self::NoJointStates { .. } => {
-                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns with \
-                 --columns (docs/datasets.md)"
+            Self::NoJointStates { is_of_tables: true, .. } => {
+                "record the joint positions in the same run, or name their columns with --columns \
+                 (docs/datasets.md)"
             }
+            Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME from the catalogue, such as ur5e"

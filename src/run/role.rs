@@ -1,6 +1,7 @@
 //! Determines a topic's role from name, type and frames.
 
 use crate::geometry::Convention;
+use crate::log::COMMAND_WORDS;
 use crate::stream::Columns;
 
 use super::streams::Stream;
@@ -59,28 +60,6 @@ pub(super) type RoleDecision = (Role, String);
 pub(super) const NON_ARM_JOINT_WORDS: &[&str] = &[
     "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels", "caster",
     "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
-];
-
-const COMMAND_WORDS: &[&str] = &[
-    "goal",
-    "goals",
-    "target",
-    "targets",
-    "command",
-    "commands",
-    "cmd",
-    "commanded",
-    "desired",
-    "setpoint",
-    "setpoints",
-    "reference",
-    "ref",
-    "equilibrium",
-    "waypoint",
-    "waypoints",
-    "plan",
-    "planned",
-    "interactive",
 ];
 
 /// Last words of the names of desired (`_d`) and commanded (`_c`) values. Source: libfranka, `RobotState`.

@@ -173,7 +173,7 @@ fn a_table_without_controller_time_is_read_as_csv() {
     assert_eq!(log.topics[0].name, "actual_q");
     let text = table(",", "\n", 10).replace("timestamp", "other");
     let error = read_tables(&[text.as_bytes()]).unwrap_err().to_string();
-    assert!(error.contains("rate_hz"), "{error}");
+    assert!(error.contains("rows per second"), "{error}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::{Column, ColumnSettings, Table, names};
+use crate::decode::excerpt;
 use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
@@ -136,7 +137,13 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
         clocks.retain(is_of_rows);
     }
     let best = best_clock(clocks, table);
-    match (best, table.rate_hz) {
+    let of_file = || {
+        let times = table.times.as_ref()?;
+        let clock = from_column(0, times, None)?;
+        let description = clock.description.replacen("column", "file", 1);
+        Some(Clock { cell: None, description, ..clock })
+    };
+    match (best.or_else(of_file), table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
         (None, None) => clock_by_values(table),
@@ -334,11 +341,20 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
                     why_not_times(column)
                 )
             }
-            None => "no column holds times, and the metadata has no rate".to_owned(),
+            None => match table.texts.iter().find(|(name, _)| is_time(name)) {
+                Some((name, text)) => {
+                    format!(
+                        "column '{name}' is named as a time, but '{}' is not read as one",
+                        excerpt(text)
+                    )
+                }
+                None => "no column holds times, and the metadata has no rate".to_owned(),
+            },
         };
         format!(
-            "{why}: end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or add `[columns]` with \
-             `rate_hz = 30` or `time = \"COLUMN\"` to poseaudit.toml; for separate configurations rather than a run, use `poseaudit calibrate`"
+            "{why}: end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or pass a file with the \
+             times of the {} rows as well; if each row is a configuration at rest, use `poseaudit calibrate`",
+            table.rows
         )
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
@@ -365,7 +381,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
         }
     }
     match found.as_mut_slice() {
-        [] => Err(none()),
+        [] => clock_at_edge(table).ok_or_else(none),
         [_] if alike > MAX_INCREASING_COLUMNS => Err(none()),
         [(name, ..)] => {
             let name = std::mem::take(name);
@@ -383,6 +399,30 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
                 names.join(", or ")
             ))
         }
+    }
+}
+
+/// The first or the last number of the rows of one array, if only one of the two increases like times.
+fn clock_at_edge(table: &Table) -> Option<Clock> {
+    let [column] = table.columns.as_slice() else { return None };
+    if column.width < 2 || names::is_joints_or_pose(&column.name) {
+        return None;
+    }
+    let clock = |part: usize| {
+        let values: Vec<f64> =
+            column.values.iter().skip(part).step_by(column.width).copied().collect();
+        if !exceed_joints(&values) || !increases_like_times(&values, &column.kind) {
+            return None;
+        }
+        let name = table.cell_name((0, part));
+        let own = Column { kind: column.kind.clone(), width: 1, values, ..Column::default() };
+        let clock = from_column(0, &own, None)?;
+        let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
+        Some(Clock { cell: Some((0, part)), description, unnamed_column: Some(name), ..clock })
+    };
+    match [clock(0), clock(column.width - 1)] {
+        [Some(own), None] | [None, Some(own)] => Some(own),
+        _ => None,
     }
 }
 
@@ -421,6 +461,28 @@ fn increases_evenly(values: &[f64]) -> bool {
     };
     let regular = steps.iter().filter(is_near).count().max(steps.iter().filter(is_whole).count());
     steps.iter().all(|own| *own > 0.0) && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
+}
+
+/// Whether numbers may be the stamps of rows, evenly spaced or not. A joint that starts and stops has many steps that
+/// are much shorter than usual.
+pub(super) fn increases_like_times(values: &[f64], kind: &str) -> bool {
+    const MIN_STEP_RATIO: f64 = 0.05;
+    const MIN_REGULAR_PERCENT: usize = 98;
+    let column =
+        Column { kind: kind.to_owned(), width: 1, values: values.to_vec(), ..Column::default() };
+    let mut steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let is_rising = steps.iter().all(|step| *step >= 0.0);
+    let Some(middle) = median(&mut steps) else { return false };
+    let regular = steps.iter().filter(|step| **step >= MIN_STEP_RATIO * middle).count();
+    is_rising
+        && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
+        && from_column(0, &column, None).is_some()
+}
+
+/// Whether increasing numbers exceed two turns, which no joint in rad does.
+pub(super) fn exceed_joints(values: &[f64]) -> bool {
+    const TWO_TURNS_RAD: f64 = 4.0 * std::f64::consts::PI;
+    values.last().zip(values.first()).is_some_and(|(last, first)| last - first > TWO_TURNS_RAD)
 }
 
 /// Whether two clocks agree without drift.

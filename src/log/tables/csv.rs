@@ -5,13 +5,14 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use jiff::civil::{Date, Time};
 
 use super::text_rows::{self, RowFormat, TextRows};
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, text_encoding,
-    vector_cells,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, file_names,
+    text_encoding, vector_cells,
 };
 use crate::rtde;
 
@@ -38,11 +39,25 @@ pub(super) struct TextLayout {
     pub line: usize,
 }
 
+/// Whether its first rows have as many cells as the names above them, but hardly any numbers.
+pub(crate) fn is_table_of_text(bytes: &[u8]) -> bool {
+    const CHECKED_ROWS: usize = 20;
+    let text = text_encoding::to_utf8(bytes);
+    let rows: Vec<&[u8]> = lines(&text).map(|(_, _, row)| row).take(CHECKED_ROWS).collect();
+    let counts = |delimiter: u8| rows.iter().map(move |row| cells(row, delimiter).len());
+    rows.len() > 2
+        && [b',', b';', b'\t'].into_iter().any(|delimiter| {
+            let first = counts(delimiter).next().unwrap_or(0);
+            first >= MIN_CELLS && counts(delimiter).all(|count| count == first)
+        })
+}
+
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     let text = text_encoding::to_utf8(bytes);
     detect_layout(&text).is_some()
-        || vector_cells::expand(&text).is_some_and(|bytes| detect_layout(&bytes).is_some())
+        || detect_layout(&with_single_numbers(bytes)).is_some()
+        || rows_of_times(&text).is_some()
 }
 
 /// A text table with times is a log rather than a calibration table.
@@ -59,7 +74,8 @@ pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
 /// The text in UTF-8, with a cell for each number of a list.
 fn with_single_numbers(bytes: &[u8]) -> Cow<'_, [u8]> {
     let text = text_encoding::to_utf8(bytes);
-    match vector_cells::expand(&text) {
+    let text = vector_cells::join_lines(&text).map_or(text, Cow::Owned);
+    match vector_cells::expand(&text).or_else(|| vector_cells::without_brackets(&text)) {
         Some(expanded) => Cow::Owned(expanded),
         None => text,
     }
@@ -262,8 +278,53 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let text = with_single_numbers(bytes);
-    let layout = detect_layout(&text).ok_or("it contains no rows of numbers")?;
-    Ok(vec![("0".to_owned(), read_rows(&text, layout, context)?)])
+    let table = match detect_layout(&text) {
+        Some(layout) => read_rows(&text, layout, context)?,
+        None => {
+            let (delimiter, rows) = rows_of_times(&text).ok_or("it contains no rows of numbers")?;
+            read_transposed(delimiter, &rows, context)?
+        }
+    };
+    Ok(vec![("0".to_owned(), table)])
+}
+
+/// Delimiter and lines of a table whose columns are times, as MATLAB writes a 6 by N matrix.
+fn rows_of_times(bytes: &[u8]) -> Option<(u8, Vec<&[u8]>)> {
+    /// Quantities, and minimum ratio of times to quantities.
+    const QUANTITIES: RangeInclusive<usize> = 2..=64;
+    const MIN_ASPECT: usize = 8;
+    const MAX_ROW_BYTES: usize = 4 << 20;
+    let own = lines(bytes).map(|(_, _, line)| line).filter(|line| comment(line).is_none());
+    let rows: Vec<&[u8]> = own.take(QUANTITIES.end() + 1).collect();
+    if rows.iter().any(|row| row.len() > MAX_ROW_BYTES) {
+        return None;
+    }
+    let (delimiter, width) = detect_delimiter(rows.first()?);
+    let is_row = |row: &&[u8]| {
+        let cells = cells(row, delimiter);
+        cells.len() == width && cells.iter().all(|cell| is_number(cell, delimiter))
+    };
+    let is_table = QUANTITIES.contains(&rows.len())
+        && width > MAX_WIDTH.max(MIN_ASPECT * rows.len())
+        && rows.iter().all(is_row);
+    is_table.then_some((delimiter, rows))
+}
+
+fn read_transposed(
+    delimiter: u8,
+    rows: &[&[u8]],
+    context: &mut ReadContext,
+) -> Result<Table, TableError> {
+    let parse = |row: &&[u8]| -> Vec<f64> {
+        cells(row, delimiter).into_iter().map(|cell| number(cell, delimiter)).collect()
+    };
+    let count = cells(rows[0], delimiter).len();
+    context.memory.reserve(2 * count * rows.len())?;
+    let series: Vec<Vec<f64>> = rows.iter().map(parse).collect();
+    let values = (0..count).flat_map(|at| series.iter().map(move |own| own[at])).collect();
+    let (name, kind) = (file_names::UNNAMED_COLUMN.to_owned(), "number".to_owned());
+    let column = Column { name, kind, width: series.len(), values, ..Column::default() };
+    Ok(Table { rows: count, columns: vec![column], ..Table::default() })
 }
 
 pub(super) fn read_rows(
@@ -332,7 +393,7 @@ fn build_table(
             let what = format!("{} of its {} columns", values.len() - width, values.len());
             made.unread.push((what, "text, not numbers".to_owned()));
         }
-        let name = "array".to_owned();
+        let name = file_names::UNNAMED_COLUMN.to_owned();
         made.columns.push(Column { name, kind: kind(), width, values: all, ..Column::default() });
         return made;
     };
@@ -402,6 +463,8 @@ pub(super) fn decimal_billionths(cell: &[u8], decimal_comma: bool) -> Option<i12
 }
 
 fn seconds(cell: &str) -> Option<f64> {
+    // Marks a text in a spreadsheet.
+    let cell = cell.strip_prefix('\'').unwrap_or(cell);
     if !(cell.starts_with(|c: char| c.is_ascii_digit()) && cell.contains([':', '-', '_', '/'])) {
         return None;
     }
@@ -529,6 +592,21 @@ mod tests {
     }
 
     #[test]
+    fn a_table_with_a_column_for_each_time_is_transposed() {
+        let line = |quantity: usize| -> String {
+            let cells: Vec<String> = (0..300).map(|at| format!("{}.5", quantity + at)).collect();
+            cells.join(",") + "\n"
+        };
+        let text = line(0) + &line(1000);
+        let (delimiter, rows) = rows_of_times(text.as_bytes()).expect("a table");
+        assert_eq!((delimiter, rows.len()), (b',', 2));
+        let wide: String = (0..64).map(line).collect();
+        for text in [line(0), text.replace("7.5,", "x,"), wide] {
+            assert_eq!(rows_of_times(text.as_bytes()), None);
+        }
+    }
+
+    #[test]
     fn decimal_stamps_keep_every_nanosecond() {
         for (cell, expected) in [
             ("1311868164.363181", Some(1_311_868_164_363_181_000)),
@@ -567,6 +645,7 @@ mod tests {
             ("1970-01-02T02:00:01.5+02:00", 86401.5),
             ("1 days 00:00:01.500000", 86401.5),
             ("1 day, 0:00:01.5", 86401.5),
+            ("'02.01.1970 00:00:01.5", 86401.5),
         ] {
             assert_eq!(seconds(cell), Some(expected), "{cell}");
         }

@@ -11,13 +11,15 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use super::clock::{self, Clock};
 use super::names::{self, PoseComponent, PosePart};
 use super::{
-    Column, ColumnSettings, RowStamps, Table, TableTopic, array_columns, pose_columns, row_losses,
+    Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns, pose_columns,
+    row_losses,
 };
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 pub(crate) use row_layout::LayoutColumns;
 use sampling::Sampling;
 
+use ground::geometry::AngleUnit;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
 /// Joints of an arm, with its gripper.
@@ -42,6 +44,8 @@ enum ColumnMeaning {
         /// Velocities in the same order; may be empty.
         velocities: Vec<Cell>,
     },
+    /// Velocities of joints in another table, in this unit or that of the joints.
+    Velocities(Option<AngleUnit>),
     /// The rotation in any encoding.
     Pose,
     /// A position and a quaternion xyzw, by the format of the file.
@@ -123,7 +127,7 @@ pub(super) fn identify_topics(
                 });
             }
             count if count == table.columns[column].width => {
-                groups.push(identify_column(&table.columns[column], free));
+                groups.push(identify_column(table, &table.columns[column], free));
             }
             _ if settings.declares_all() => {}
             _ => groups.push(unidentified_rest(&table.columns[column], free)),
@@ -172,6 +176,7 @@ pub(super) fn identify_topics(
         why: why.clone(),
         cells: Vec::new(),
         velocity_cells: Vec::new(),
+        velocities: None,
         contradiction: None,
         columns: None,
         rows: table.rows as u64,
@@ -395,11 +400,6 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         let Some((stem, number)) = own.filter(|(stem, _)| is_known(stem)) else { continue };
         families.entry((home_column(table, cell), stem)).or_default().entry(number).or_insert(cell);
     }
-    let has_other_joints = |own: &[String]| {
-        families.iter().any(|((_, stem), members)| {
-            stem != own && names::is_stem_of_joints(stem) && JOINT_COUNTS.contains(&members.len())
-        })
-    };
     let mut groups = Vec::new();
     for ((home, stem), members) in &families {
         let first = members.keys().next().copied().unwrap_or(0);
@@ -421,10 +421,9 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             });
             continue;
         }
-        // ABB logs a quaternion as q1 to q4; its joints have other names.
+        // ABB logs a quaternion as q1 to q4, Leica as Q0 to Q3. No four joints move like that.
         let is_quaternion = stem.last().is_some_and(|word| word == "q")
             && cells.len() == 4
-            && has_other_joints(stem)
             && are_unit(table, &cells);
         if is_quaternion {
             let part = part(PosePart::Quaternion);
@@ -512,9 +511,11 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
         }
         words
     };
-    let read = groups
-        .iter()
-        .filter(|group| !matches!(group.meaning, ColumnMeaning::Numbers | ColumnMeaning::Unused));
+    let is_read = |group: &&ColumnGroup| {
+        use ColumnMeaning::{Numbers, Unused, Velocities};
+        !matches!(group.meaning, Numbers | Unused | Velocities(_))
+    };
+    let read = groups.iter().filter(is_read);
     let used: HashSet<Cell> = read.flat_map(|group| &group.cells).copied().collect();
     let mut open: BTreeMap<Vec<String>, Cell> = BTreeMap::new();
     for (column, own) in table.columns.iter().enumerate() {
@@ -604,7 +605,8 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
         let own = name(table, cell);
-        let joint = names::joint_name(own).or_else(|| names::is_base(own).then(|| own.to_owned()));
+        let base = || names::is_base(own).then(|| names::without_unit(own).to_owned());
+        let joint = names::joint_name(own).or_else(base);
         let Some(joint) = joint else { continue };
         let home = match home_column(table, cell) {
             // The path before a joint name distinguishes states from commands.
@@ -646,10 +648,22 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     groups
 }
 
-fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
+fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let words = names::split_words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
+    let joints_of = |names: Vec<String>, unnamed: bool| ColumnMeaning::Joints {
+        names,
+        unnamed,
+        lines: Vec::new(),
+        velocities: Vec::new(),
+    };
     let (meaning, why) = match column.width {
+        width if let Some(names) = joint_state_names(table, &column.name, width) => {
+            (joints_of(names, false), "joint positions, named in the same record".to_owned())
+        }
+        width if names::is_joint_velocities(&words) && JOINT_COUNTS.contains(&width) => {
+            (ColumnMeaning::Velocities(unit_by_name(&words)), by_name("joint velocities"))
+        }
         _ if names::is_other_quantity(&words) || names::is_gripper(&words) => {
             (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }
@@ -657,28 +671,12 @@ fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
             || names::split_words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
-            (
-                ColumnMeaning::Joints {
-                    names,
-                    unnamed: false,
-                    lines: Vec::new(),
-                    velocities: Vec::new(),
-                },
-                by_name("joints of a UR"),
-            )
+            (joints_of(names, false), by_name("joints of a UR"))
         }
         width if names::is_joint_positions(&words) && JOINT_COUNTS.contains(&width) => {
             let side = names::arm_prefix(&words);
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
-            (
-                ColumnMeaning::Joints {
-                    names,
-                    unnamed: true,
-                    lines: Vec::new(),
-                    velocities: Vec::new(),
-                },
-                by_name("joint positions"),
-            )
+            (joints_of(names, true), by_name("joint positions"))
         }
         6 | 7 | 12 | 16 if names::is_pose(&words) => (ColumnMeaning::Pose, by_name("a pose")),
         3 if names::pose_part(&column.name, 3)
@@ -698,6 +696,20 @@ fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
         .filter(|_| !matches!(meaning, ColumnMeaning::Pose | ColumnMeaning::Joints { .. }))
         .map(|(key, part)| (String::new(), key, part));
     ColumnGroup { topic: column.name.clone(), cells, meaning, why, part }
+}
+
+/// Names next to the positions of a joint state, as `ros2 topic echo` writes them.
+fn joint_state_names(table: &Table, column: &str, width: usize) -> Option<Vec<String>> {
+    let record = column.strip_suffix("position").filter(|_| width > 1)?;
+    (0..width).map(|at| table.texts.get(&format!("{record}name[{at}]")).cloned()).collect()
+}
+
+fn unit_by_name(words: &[String]) -> Option<AngleUnit> {
+    let has = |known: &[&str]| words.iter().any(|word| known.contains(&word.as_str()));
+    if has(names::DEGREE_WORDS) {
+        return Some(AngleUnit::Degree);
+    }
+    has(RADIAN_WORDS).then_some(AngleUnit::Radian)
 }
 
 fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
@@ -881,6 +893,13 @@ impl ColumnGroup {
             _ => Vec::new(),
         };
         let is_open = matches!(meaning, ColumnMeaning::Numbers);
+        let velocities = match &meaning {
+            ColumnMeaning::Velocities(unit) => {
+                let stamps = stamps.iter().map(|stamp| stamp.column_ns).collect();
+                Some(Velocities { stamps, values: values(), width: cells.len(), unit: *unit })
+            }
+            _ => None,
+        };
         let columns = match meaning {
             ColumnMeaning::Joints { names, unnamed, lines, velocities } => {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
@@ -945,7 +964,7 @@ impl ColumnGroup {
             ColumnMeaning::Position | ColumnMeaning::QuaternionPose => {
                 Some(Columns::Poses(vec![pose_columns(&stamps, cells.len(), &values())]))
             }
-            ColumnMeaning::Unused => None,
+            ColumnMeaning::Unused | ColumnMeaning::Velocities(_) => None,
         };
         let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
         let labels = names.get(3..).filter(|_| is_pose).and_then(names::rotation_labels);
@@ -962,6 +981,7 @@ impl ColumnGroup {
             why,
             cells,
             velocity_cells,
+            velocities,
             contradiction,
             columns,
             rows,

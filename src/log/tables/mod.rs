@@ -7,6 +7,7 @@
 mod chunks;
 mod clock;
 mod csv;
+mod file_names;
 mod hdf5;
 mod lerobot;
 mod meaning;
@@ -28,6 +29,7 @@ mod text_rows;
 mod tfrecord;
 mod trajectory;
 mod vector_cells;
+mod velocity_files;
 mod xlsx;
 mod zarr;
 
@@ -51,11 +53,13 @@ use ground::time::NANOS_PER_SECOND;
 pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning, RowLayout};
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
-pub(super) use self::csv::{column_names, has_time, is_table};
+pub(super) use self::csv::{column_names, has_time, is_table, is_table_of_text};
+pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
 pub(super) use self::meaning::LayoutColumns;
+pub use self::names::COMMAND_WORDS;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
 pub(super) use self::records::{
     has_times as has_record_times, is_yaml_list, looks_like_json, looks_like_yaml,
@@ -66,8 +70,10 @@ pub(super) use self::rsi::has_packet;
 pub(super) use self::text_encoding::is_text;
 pub(super) use self::tfrecord::has_record;
 pub(super) use self::trajectory::{
-    detect as detect_trajectory, is_tum_by_name, times_beside as pose_times_beside,
+    detect as detect_trajectory, is_list_of_times, is_tum_by_name,
+    times_beside as pose_times_beside,
 };
+use self::velocity_files::{Velocities, VelocityFile};
 pub(super) use self::xlsx::is_workbook;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{is_store, store_files};
@@ -108,6 +114,8 @@ pub(super) struct Table {
     pub text_columns: Vec<usize>,
     /// Times in text of columns without names, in billionths, by column and index.
     pub exact_times: BTreeMap<(usize, usize), Vec<Option<i128>>>,
+    /// Times of its rows from another file, whose name it has.
+    pub times: Option<Column>,
 }
 
 pub(super) struct ReadContext<'a> {
@@ -214,8 +222,8 @@ pub(super) enum TableFormat {
     Csv,
     Tum,
     Kitti,
-    /// Times of KITTI poses.
-    KittiTimes,
+    /// Times of the rows of another file.
+    Times,
     Rsi,
     Zarr,
     TfRecord,
@@ -235,7 +243,7 @@ impl TableFormat {
             Self::Csv => Container::Csv,
             Self::Tum => Container::Tum,
             Self::Kitti => Container::Kitti,
-            Self::KittiTimes => Container::KittiTimes,
+            Self::Times => Container::Times,
             Self::Rsi => Container::Rsi,
             Self::TfRecord => Container::TfRecord,
             Self::Zarr => Container::Zarr,
@@ -258,8 +266,11 @@ pub(super) struct Tables {
     stream_names: HashMap<PathBuf, String>,
     /// From stamps to receive times, in the current episode.
     shift_ns: Option<i64>,
-    /// Files of [`TableFormat::KittiTimes`], and whether poses use them.
-    pose_times: BTreeMap<PathBuf, bool>,
+    /// Files of [`TableFormat::Times`], and whether rows use them.
+    row_times: BTreeMap<PathBuf, bool>,
+    /// Names of tables without column names, by file.
+    table_names: HashMap<PathBuf, String>,
+    velocity_files: Vec<VelocityFile>,
 }
 
 struct Episode {
@@ -284,6 +295,8 @@ pub(super) struct TableTopic {
     pub cells: Vec<TableCell>,
     /// Joint velocities, in the order of the cells.
     pub velocity_cells: Vec<TableCell>,
+    /// Velocities of joints in another table.
+    pub velocities: Option<Velocities>,
     /// Contradiction between column names and numbers.
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
@@ -307,8 +320,9 @@ impl Tables {
     pub(super) fn new(inputs: &[LogInput]) -> Self {
         let paths: Vec<&Path> = inputs.iter().map(|input| input.path.as_path()).collect();
         let names = trajectory::stream_names(&paths);
+        let table_names = file_names::table_names(&paths);
         let stream_names = paths.into_iter().map(Path::to_owned).zip(names).collect();
-        Self { inputs: inputs.to_owned(), stream_names, ..Self::default() }
+        Self { inputs: inputs.to_owned(), stream_names, table_names, ..Self::default() }
     }
 
     /// `bytes` is the content of the file at `path`. Adds damage and lost rows to the losses.
@@ -343,7 +357,7 @@ impl Tables {
                 let times = match trajectory::pose_times(path, bytes, &self.inputs) {
                     Ok((file, times)) => {
                         intake.note(path, format!("times of its poses from {}", file.display()));
-                        self.pose_times.insert(file, true);
+                        self.row_times.insert(file, true);
                         Some(times)
                     }
                     Err(_) if settings.rate_hz.is_some() => None,
@@ -351,13 +365,13 @@ impl Tables {
                 };
                 trajectory::read_kitti(bytes, times.as_deref(), context)
             }
-            TableFormat::KittiTimes => {
-                if !trajectory::may_have_poses(&self.inputs) {
-                    let looks = "a list of times without KITTI poses";
-                    let instead = "pass it together with the poses of its sequence";
+            TableFormat::Times => {
+                if self.inputs.len() == 1 {
+                    let looks = "a list of times without other numbers";
+                    let instead = "pass it together with the file of its rows";
                     return Err(LogError::Unsupported { path: path.to_owned(), looks, instead });
                 }
-                self.pose_times.entry(path.to_owned()).or_default();
+                self.row_times.entry(path.to_owned()).or_default();
                 return Ok(());
             }
             TableFormat::Rsi => rsi::read(bytes, context),
@@ -400,6 +414,19 @@ impl Tables {
         }
         if let ([(_, table)], None, None) = (episodes.as_mut_slice(), &dataset, wanted) {
             table.stream_name = self.stream_names.get(path).cloned().unwrap_or_default();
+        }
+        if let ([(_, table)], TableFormat::Csv | TableFormat::Npy) = (episodes.as_mut_slice(), kind)
+        {
+            if self.is_list_of_times(table) {
+                self.row_times.entry(path.to_owned()).or_default();
+                return Ok(());
+            }
+            self.add_times(path, bytes, table);
+            if let (Some(name), None) = (self.table_names.get(path), layout)
+                && !settings.has_column(file_names::UNNAMED_COLUMN)
+            {
+                table.name_columns(name);
+            }
         }
         let home = enclosing_dataset(path).filter(|_| kind == TableFormat::Parquet);
         let home = home.unwrap_or_else(|| path.to_owned());
@@ -452,6 +479,45 @@ impl Tables {
             }
         }
         Ok(())
+    }
+
+    /// Whether the numbers of an array are the times of rows in the other files of the run.
+    fn is_list_of_times(&self, table: &Table) -> bool {
+        let [Column { name, width: 1, values, kind, .. }] = table.columns.as_slice() else {
+            return false;
+        };
+        name == file_names::UNNAMED_COLUMN
+            && self.inputs.len() > 1
+            && clock::increases_like_times(values, kind)
+    }
+
+    /// Adds the times that another file of the run has, one for each row.
+    fn add_times(&mut self, path: &Path, bytes: &[u8], table: &mut Table) {
+        if table.columns.iter().any(|column| clock::is_time(&column.name)) {
+            return;
+        }
+        let lines = match table.lines.first() {
+            Some(first) => trajectory::row_lines(bytes, *first),
+            None => (0..table.rows).collect(),
+        };
+        let Some((file, times)) = trajectory::given_times(path, lines.len(), &self.inputs) else {
+            return;
+        };
+        let time = |row: usize| {
+            let line = table.lines.get(row).copied().unwrap_or(row);
+            times[lines.binary_search(&line).ok()?]
+        };
+        let billionths: Vec<Option<i128>> = (0..table.rows).map(time).collect();
+        let value = |own: &Option<i128>| own.map_or(f64::NAN, |own| own as f64 * 1e-9);
+        table.times = Some(Column {
+            name: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            kind: "number".to_owned(),
+            width: 1,
+            values: billionths.iter().map(value).collect(),
+            billionths,
+            ..Column::default()
+        });
+        self.row_times.insert(file, true);
     }
 
     fn add_table(
@@ -515,6 +581,18 @@ impl Tables {
         let shape = intake.table(shape);
         let episode = self.episodes.len().saturating_sub(1);
         for mut found in found {
+            if let Some(velocities) = found.velocities.take() {
+                let cells = found.cells.into_iter().map(|cell| TableCell { table: shape, ..cell });
+                self.velocity_files.push(VelocityFile {
+                    topic: found.topic,
+                    kind: found.kind,
+                    why: found.why,
+                    cells: cells.collect(),
+                    velocities,
+                    span,
+                });
+                continue;
+            }
             let (unstamped, damaged) = (found.unstamped, found.damaged.take());
             let TableTopic { mut topic, kind, why, contradiction, columns, rows, .. } = found;
             if !is_episode && self.streams.contains_key(&topic) {
@@ -579,20 +657,29 @@ impl Tables {
         }
     }
 
+    /// Whether the file names the joints or the pose of a run.
+    pub(super) fn names_signal(&self, path: &Path) -> bool {
+        file_names::table_names(&[path]).contains_key(path)
+    }
+
     /// Whether a table was read by a given layout.
     pub(super) fn has_used_layout(&self) -> bool {
         self.has_used_layout
     }
 
-    pub(super) fn finish(self, intake: &mut Intake) {
+    pub(super) fn finish(mut self, intake: &mut Intake) {
+        for file in std::mem::take(&mut self.velocity_files) {
+            file.add_to(&mut self.streams, intake);
+        }
         for (topic, stream) in &self.streams {
             self.report_missing(topic, stream, intake);
         }
         if self.has_noted_clock {
             intake.repeats(self.repeats.in_all());
         }
-        for (path, _) in self.pose_times.iter().filter(|(_, is_used)| !**is_used) {
-            let what = "is a list of times, but no KITTI poses use it".to_owned();
+        for (path, _) in self.row_times.iter().filter(|(_, is_used)| !**is_used) {
+            let what =
+                "is a list of times, but no other file has as many rows without times".to_owned();
             intake.note(path, what);
         }
         for TableStream { channel, columns, .. } in self.streams.into_values() {

@@ -123,6 +123,8 @@ const OTHER_WORDS: &[&str] = &[
     "error",
     "mask",
     "std",
+    "sigma",
+    "uncertainty",
     "mean",
     "min",
     "max",
@@ -131,6 +133,29 @@ const OTHER_WORDS: &[&str] = &[
     "twist",
     "status",
     "mode",
+];
+
+/// Words in the names of commands.
+pub const COMMAND_WORDS: &[&str] = &[
+    "goal",
+    "goals",
+    "target",
+    "targets",
+    "command",
+    "commands",
+    "cmd",
+    "commanded",
+    "desired",
+    "setpoint",
+    "setpoints",
+    "reference",
+    "ref",
+    "equilibrium",
+    "waypoint",
+    "waypoints",
+    "plan",
+    "planned",
+    "interactive",
 ];
 
 pub(super) const GRIPPER_WORDS: &[&str] =
@@ -277,6 +302,12 @@ pub(super) fn is_other_quantity(words: &[String]) -> bool {
         || contains_any(words, VELOCITY_WORDS)
         || is_motor_current(words)
         || is_tool_twist(words)
+        || is_uncertainty(words)
+}
+
+/// `U(95) X` of a laser tracker.
+fn is_uncertainty(words: &[String]) -> bool {
+    words.windows(2).any(|words| words == ["u", "95"])
 }
 
 /// libfranka's `O_dP_EE`.
@@ -381,12 +412,23 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
         .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
 
+/// Without a unit in brackets at the end: `Wrist 1` of `Wrist 1 [deg]`.
+pub(super) fn without_unit(name: &str) -> &str {
+    let bare = name.rsplit_once(['[', '(']).filter(|(_, unit)| {
+        let words = split_words(unit);
+        unit.contains('°')
+            || (!words.is_empty() && words.iter().all(|it| UNIT_WORDS.contains(&it.as_str())))
+    });
+    bare.map_or(name, |(bare, _)| bare.trim_end())
+}
+
 /// Joint name as models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
     let own = split_words(name);
     if is_other_quantity(&own) {
         return None;
     }
+    let name = without_unit(name);
     let bare = [".pos", "_pos", ".position", "_position", ".q", "_rad", "_deg"]
         .iter()
         .find_map(|end| name.strip_suffix(end))
@@ -605,9 +647,16 @@ mod tests {
         ] {
             assert!(is(name).contains(&(key.to_owned(), axis)), "{name}: {:?}", is(name));
         }
-        for name in
-            ["timestamp", "gripper", "vel_x", "q_1", "force_z", "shoulder_pan.pos", "current_1"]
-        {
+        for name in [
+            "timestamp",
+            "gripper",
+            "vel_x",
+            "q_1",
+            "force_z",
+            "shoulder_pan.pos",
+            "U(95) X [mm]",
+            "current_1",
+        ] {
             assert_eq!(is(name), [], "{name}");
         }
     }

@@ -84,6 +84,17 @@ fn half_to_f64(bits: u16) -> f64 {
     if bits >> 15 == 1 { -size } else { size }
 }
 
+/// Numbers of an array with one dimension. `None` if it is none.
+pub(super) fn single_numbers(bytes: &[u8]) -> Option<Vec<f64>> {
+    let (header, data) = bytes.starts_with(MAGIC).then(|| parse_header(bytes).ok()).flatten()?;
+    let ([(_, kind, 0, 1)], [rows] | [rows, 1]) =
+        (header.fields.as_slice(), header.shape.as_slice())
+    else {
+        return None;
+    };
+    Some(data.chunks_exact(kind.size).take(*rows).map(|bytes| kind.read(bytes)).collect())
+}
+
 /// Each field has a name, a type, an offset in a row and a width.
 #[derive(Clone)]
 struct Header {

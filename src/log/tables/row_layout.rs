@@ -494,7 +494,8 @@ impl RowLayout {
             };
             let fail = |at: usize, what: String| Err((at, what));
             let (joints, velocities) = (group.joints.len(), group.velocities.len());
-            if velocities > 0 && velocities != joints {
+            // Another file may hold the joints.
+            if velocities > 0 && joints > 0 && velocities != joints {
                 let at = of(&|meaning| meaning == Meaning::JointVelocities);
                 return fail(
                     at,

@@ -50,6 +50,16 @@ impl ColumnSettings {
         own
     }
 
+    /// Whether a setting names the column or some of its numbers.
+    pub(super) fn has_column(&self, name: &str) -> bool {
+        let selectors =
+            [&self.joints, &self.joint_commands, &self.pose, &self.pose_commands].into_iter();
+        let time = self.time.as_deref().map(|time| time.split('[').next().unwrap_or(time));
+        time == Some(name)
+            || selectors.flatten().any(|selector| selector.column == name)
+            || self.arms.iter().any(|(_, arm)| arm.has_column(name))
+    }
+
     /// If so, no other columns are searched.
     pub(super) fn declares_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();

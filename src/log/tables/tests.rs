@@ -1,6 +1,7 @@
 //! Tables as their writers make them: valid, truncated, and with wrong declarations.
 
 mod episodes;
+mod file_sets;
 mod hdf5_writer;
 mod layouts;
 mod limits;

@@ -7,9 +7,11 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::csv::{self, TextLayout};
-use super::{Column, Episodes, ReadContext, RowLoss, Table, TableError, TableFormat};
+use super::{
+    Column, Episodes, ReadContext, RowLoss, Table, TableError, TableFormat, clock, npy,
+    text_encoding,
+};
 use crate::files::LogInput;
-use crate::unpack::ZSTD_MAGIC;
 use crate::{LogError, rtde};
 use ground::geometry::{rotation_from_matrix_rows, xyzw_from_rotation};
 
@@ -17,6 +19,8 @@ pub(super) const TUM_COLUMNS: [&str; 8] =
     ["timestamp [s]", "tx", "ty", "tz", "qx", "qy", "qz", "qw"];
 const W_FIRST: [&str; 4] = ["qw", "qx", "qy", "qz"];
 const KITTI_WIDTH: usize = 12;
+/// Rows that identify a format.
+const CHECKED_ROWS: usize = 200;
 /// Deviation of a quaternion from unit norm and of a matrix from a rotation, for numbers with two digits.
 const MAX_DEFECT: f64 = 0.03;
 
@@ -32,9 +36,24 @@ pub(crate) fn detect(bytes: &[u8]) -> Option<TableFormat> {
         () if are_mostly(&rows, KITTI_WIDTH, |row| xyzw_of(row).is_some()) => {
             Some(TableFormat::Kitti)
         }
-        () if are_times(&rows) => Some(TableFormat::KittiTimes),
         () => None,
     }
+}
+
+/// Whether each line is one number that does not fall, below a name or without.
+pub(crate) fn is_list_of_times(bytes: &[u8]) -> bool {
+    let rows: Vec<f64> = times_below_name(bytes)
+        .take(CHECKED_ROWS)
+        .map(|text| rtde::number(text, false).unwrap_or(f64::NAN))
+        .collect();
+    rows.len() >= 2 && rows.windows(2).all(|pair| pair[0] <= pair[1])
+}
+
+/// Text of each line below a name.
+fn times_below_name(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let is_name = |(at, text): &(usize, &[u8])| *at == 0 && rtde::number(text, false).is_none();
+    let lines = rows(bytes).map(|(_, text)| text).enumerate();
+    lines.filter(move |line| !is_name(line)).map(|(_, text)| text)
 }
 
 /// Whether a file that is named `.tum` has its number of columns, with quaternions of any norm.
@@ -46,7 +65,6 @@ pub(crate) fn is_tum_by_name(path: &Path, bytes: &[u8]) -> bool {
 
 /// `None` if a row is text or too long.
 fn first_rows(bytes: &[u8]) -> Option<Vec<Vec<f64>>> {
-    const CHECKED_ROWS: usize = 200;
     const MAX_LINE_BYTES: usize = 1000;
     let parse = |(_, text): (usize, &[u8])| {
         let row: Vec<f64> = match text.len() {
@@ -75,12 +93,6 @@ fn are_mostly(rows: &[Vec<f64>], width: usize, fits: impl Fn(&[f64]) -> bool) ->
     let own: Vec<&Vec<f64>> = rows.iter().filter(|row| row.len() == width).collect();
     let fitting = own.iter().filter(|row| fits(row)).count();
     own.len() >= 2 && 100 * own.len() >= MIN_WIDTH_PERCENT * rows.len() && 2 * fitting > own.len()
-}
-
-fn are_times(rows: &[Vec<f64>]) -> bool {
-    rows.len() >= 2
-        && rows.iter().all(|row| row.len() == 1)
-        && rows.windows(2).all(|pair| pair[0][0] <= pair[1][0])
 }
 
 pub(super) fn read_tum(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
@@ -173,9 +185,39 @@ fn xyzw_of(matrix: &[f64]) -> Option<[f64; 4]> {
     (defect < MAX_DEFECT).then(|| xyzw_from_rotation(&rotation))
 }
 
-/// Billionths of a second. `None` in lines that are no number.
-fn read_times(bytes: &[u8]) -> Vec<Option<i128>> {
-    rows(bytes).map(|(_, text)| csv::decimal_billionths(text, false)).collect()
+/// Times in a file, in billionths of its unit; `None` in lines that are no number. `None` if it holds other numbers.
+fn times_in(input: &LogInput) -> Option<Vec<Option<i128>>> {
+    let mapped = input.open().ok().filter(|_| input.address.is_none())?;
+    let bytes = mapped.bytes();
+    if let Some(values) = npy::single_numbers(bytes) {
+        let billionth = |value: &f64| value.is_finite().then(|| (value * 1e9).round() as i128);
+        let is_time = clock::increases_like_times(&values, "");
+        return is_time.then(|| values.iter().map(billionth).collect());
+    }
+    let is_text = text_encoding::is_text(bytes) && is_list_of_times(bytes);
+    let billionths = |text: &[u8]| csv::decimal_billionths(text, false);
+    is_text.then(|| times_below_name(bytes).map(billionths).collect())
+}
+
+/// Times of `count` rows of the file at `path` that another file of the run has. `None` if two files have them.
+pub(super) fn given_times(
+    path: &Path,
+    count: usize,
+    inputs: &[LogInput],
+) -> Option<(PathBuf, Vec<Option<i128>>)> {
+    let others = inputs.iter().filter(|input| input.path != path);
+    let all = others.filter_map(|input| Some((input.path.clone(), times_in(input)?)));
+    let mut found: Vec<_> = all.filter(|(_, times)| times.len() == count).collect();
+    let in_folder = |(file, _): &(PathBuf, _)| file.parent() == path.parent();
+    if found.len() > 1 {
+        found.retain(in_folder);
+    }
+    if found.len() == 1 { found.pop() } else { None }
+}
+
+/// Number from 1 of each line with data, from `first`.
+pub(super) fn row_lines(bytes: &[u8], first: usize) -> Vec<usize> {
+    rows(bytes).map(|(line, _)| line).filter(|line| *line >= first).collect()
 }
 
 /// Where the times of KITTI poses are looked for, besides the given files.
@@ -193,11 +235,7 @@ pub(super) fn pose_times(
 ) -> Result<(PathBuf, Vec<Option<i128>>), LogError> {
     let count = rows(poses).count();
     let refusal = |what: String| LogError::PoseTimes { path: path.to_owned(), what };
-    let read = |input: &LogInput| {
-        let mapped = input.open().ok().filter(|_| input.address.is_none())?;
-        let is_it = detect(mapped.bytes()) == Some(TableFormat::KittiTimes);
-        is_it.then(|| (input.path.clone(), read_times(mapped.bytes())))
-    };
+    let read = |input: &LogInput| Some((input.path.clone(), times_in(input)?));
     let mut found: Vec<_> = inputs.iter().filter_map(read).collect();
     let is_given = !found.is_empty();
     if !is_given {
@@ -223,15 +261,6 @@ pub(super) fn pose_times(
             Err(refusal(format!("{count} KITTI poses, but {file} has {own} times")))
         }
     }
-}
-
-/// Whether one of the files has KITTI poses. An archive may.
-pub(super) fn may_have_poses(inputs: &[LogInput]) -> bool {
-    inputs.iter().any(|input| {
-        let Ok(mapped) = input.open() else { return input.address.is_some() };
-        let bytes = mapped.bytes();
-        bytes.starts_with(ZSTD_MAGIC) || detect(bytes) == Some(TableFormat::Kitti)
-    })
 }
 
 /// Names of streams that only their files name: the shortest end of each path that no other path has,

@@ -6,6 +6,72 @@ use super::{MAX_COLUMNS, MAX_WIDTH};
 /// Lines searched for a list.
 const MAX_HEAD_LINES: usize = 50;
 const DELIMITERS: [u8; 3] = [b',', b';', b'\t'];
+/// Numbers of a line of brackets.
+const MIN_NUMBERS: usize = 3;
+
+/// The text with the lists in quotation marks that span several lines each in one line, followed by blank lines so that
+/// the other lines keep their numbers. `None` without such lists.
+pub(super) fn join_lines(bytes: &[u8]) -> Option<Vec<u8>> {
+    let starts_list = |line: &[u8]| {
+        let mark = line.iter().rposition(|byte| *byte == b'"');
+        mark.is_some_and(|at| {
+            matches!(line[at + 1..].trim_ascii_start().first(), Some(b'[' | b'('))
+        })
+    };
+    let marks = |line: &[u8]| line.iter().filter(|byte| **byte == b'"').count();
+    let is_unclosed = |line: &[u8]| marks(line) % 2 == 1 && starts_list(line);
+    if !bytes.split(|byte| *byte == b'\n').take(MAX_HEAD_LINES).any(is_unclosed) {
+        return None;
+    }
+    let (mut joined, mut blank) = (Vec::with_capacity(bytes.len()), 0);
+    for line in bytes.split_inclusive(|byte| *byte == b'\n') {
+        let is_inside = blank > 0;
+        let is_open = is_inside != (marks(line) % 2 == 1);
+        match is_open && (is_inside || starts_list(line)) {
+            true => {
+                joined.extend(line.trim_ascii_end());
+                joined.push(b' ');
+                blank += 1;
+            }
+            false => {
+                joined.extend(line);
+                joined.extend(std::iter::repeat_n(b'\n', std::mem::take(&mut blank)));
+            }
+        }
+    }
+    Some(joined)
+}
+
+/// The numbers of lines such as `0.1 [0.2, 0.3] p[0.4, 0.5]` or `{0.1; 0.2}`, by spaces. `None` if a line has no
+/// bracket, text or another count of numbers.
+pub(super) fn without_brackets(bytes: &[u8]) -> Option<Vec<u8>> {
+    let is_bracket = |byte: u8| b"[](){}".contains(&byte);
+    let plain = |line: &[u8]| -> Vec<u8> {
+        let separator = |at: usize| {
+            let (byte, next) = (line[at], line.get(at + 1).copied());
+            let opens = next.is_some_and(|next| b"[({".contains(&next));
+            is_bracket(byte) || b",;".contains(&byte) || (byte.is_ascii_alphabetic() && opens)
+        };
+        (0..line.len()).map(|at| if separator(at) { b' ' } else { line[at] }).collect()
+    };
+    let count = |line: &[u8]| {
+        let plain = plain(line);
+        let cells = cells(&plain, b' ');
+        let is_number =
+            |cell: &&[u8]| std::str::from_utf8(cell).is_ok_and(|it| it.parse::<f64>().is_ok());
+        (line.iter().any(|byte| is_bracket(*byte)) && cells.iter().all(is_number))
+            .then_some(cells.len())
+    };
+    let lines = || bytes[mark_length(bytes)..].split(|byte| *byte == b'\n');
+    let is_data = |line: &&[u8]| !line.trim_ascii().is_empty() && comment(line).is_none();
+    let counts: Vec<Option<usize>> =
+        lines().filter(is_data).take(MAX_HEAD_LINES).map(count).collect();
+    let width = (*counts.first()?)?;
+    let is_table = counts.len() > 1
+        && (MIN_NUMBERS..=MAX_WIDTH).contains(&width)
+        && counts.iter().all(|own| *own == Some(width));
+    is_table.then(|| lines().map(plain).collect::<Vec<_>>().join(&b'\n'))
+}
 
 /// Columns of a text with lists.
 struct VectorLayout {
@@ -118,6 +184,33 @@ fn split(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_of_brackets_are_rows() {
+        for (text, expected) in [
+            ("0.1 [0.2, 0.3] p[4, 5]\n\n0.2 [0.4, 0.5] p[6, 7]\n", Some(5)),
+            ("{1;0.2;0.3}\n{2;0.4;0.5}\n", Some(3)),
+            ("[1, 2, 3]\n[1, 2]\n", None),
+            ("1, 2, 3\n4, 5, 6\n", None),
+            ("x [1, 2, 3]\nx [1, 2, 3]\n", None),
+        ] {
+            let rows = without_brackets(text.as_bytes());
+            let count =
+                rows.map(|rows| cells(rows.split(|b| *b == b'\n').next().unwrap(), b' ').len());
+            assert_eq!(count, expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_list_over_several_lines_is_one_cell() {
+        let text = "t,q\n0.1,\"[[1 2]\n [3 4]]\"\n0.2,\"[[5 6]\n [7 8]]\"\n";
+        let joined = join_lines(text.as_bytes()).and_then(|joined| expand(&joined)).unwrap();
+        let expected = "t,q[0],q[1],q[2],q[3]\n0.1,1,2,3,4\n\n0.2,5,6,7,8\n\n";
+        assert_eq!(String::from_utf8(joined).unwrap(), expected);
+        for text in ["t,q\n0.1,\"[1]\"\n", "t,\"a\nb\"\n1,2\n", "t,5\"\n1,2\n"] {
+            assert_eq!(join_lines(text.as_bytes()), None, "{text}");
+        }
+    }
 
     #[test]
     fn each_number_of_a_list_becomes_a_cell() {

@@ -46,6 +46,7 @@ impl Assembly<'_> {
             return Err(RunError::NoJointStates {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
                 question: info.question.clone(),
+                is_of_tables: self.streams.iter().any(|stream| !stream.topic.starts_with('/')),
             });
         }
         let joints = joints_in(&topics);

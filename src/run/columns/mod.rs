@@ -12,7 +12,9 @@ mod shared;
 mod tools;
 mod topics;
 
-use crate::diagnosis::{ColumnMapping, JointColumns, JointValueUnit, MappingConstraints};
+use crate::diagnosis::{
+    ColumnContent, ColumnMapping, JointColumns, JointValueUnit, MappingConstraints,
+};
 use crate::geometry::AngleUnit;
 use crate::log::{Log, Note, TableCell, TableShape};
 use crate::robot::{Chain, Robot, catalogue};
@@ -264,10 +266,7 @@ impl<'a> ColumnSearch<'a> {
     /// Whether a mapping uses whole arrays, not part of one such as `position0` … `position6`. It may omit
     /// a gripper or one of two arms, or use an array that has the whole position.
     fn uses_whole_arrays(&self, mapping: &ColumnMapping) -> bool {
-        let stem = |at: usize| -> &str {
-            let name = self.cells.numbers[at].cell.name.as_str();
-            name.trim_end_matches(']').trim_end_matches(|c: char| c.is_ascii_digit())
-        };
+        let stem = |at: usize| self.stem(at);
         let Some(own) = mapping.joints.first().map(|&at| stem(at)) else { return false };
         if mapping.joints.iter().any(|&at| stem(at) != own) {
             return true;
@@ -278,6 +277,17 @@ impl<'a> ColumnSearch<'a> {
             0 => count <= dof + 1 || count >= 2 * dof,
             inside => inside == mapping.position.len(),
         }
+    }
+
+    /// Name of a number without its index.
+    fn stem(&self, at: usize) -> &str {
+        let name = self.cells.numbers[at].cell.name.as_str();
+        name.trim_end_matches(']').trim_end_matches(|c: char| c.is_ascii_digit())
+    }
+
+    /// Whether the names of these columns differ only in numbers. Other names would say that they are joints.
+    fn are_alike(&self, columns: &[usize]) -> bool {
+        columns.windows(2).all(|pair| self.stem(pair[0]) == self.stem(pair[1]))
     }
 
     fn known_joints(&self, log: &Log) -> Option<Vec<Vec<usize>>> {
@@ -453,7 +463,12 @@ impl<'a> ColumnSearch<'a> {
                 let dof = chain.dof();
                 let blocks = || -> Vec<JointColumns> { table.blocks(&wanted, arm) };
                 let is_block = |blocks: &[JointColumns], from: usize| {
-                    blocks.iter().any(|block| block.joints.iter().copied().eq(from..from + dof))
+                    let is_it = |block: &&JointColumns| {
+                        block.joints.iter().copied().eq(from..from + dof)
+                            && !matches!(block.unit, JointValueUnit::Ticks { .. })
+                    };
+                    let found = blocks.iter().find(is_it);
+                    found.is_some_and(|block| self.are_alike(&block.joints))
                 };
                 let each = match width {
                     width if width == dof || width == dof + 1 => vec![first],
@@ -482,7 +497,10 @@ impl<'a> ColumnSearch<'a> {
             first += width;
         }
         if suggestions.is_empty() {
-            return self.question_without_pose(&wanted).or_else(|| self.question_by_order());
+            return self
+                .question_without_pose(&wanted)
+                .or_else(|| self.question_at_rest(log))
+                .or_else(|| self.question_by_order());
         }
         let texts: Vec<String> = suggestions.iter().map(Answer::to_string).collect();
         let text = format!(
@@ -557,6 +575,34 @@ impl<'a> ColumnSearch<'a> {
         Some(ColumnQuestion { text, proposal: answer.layout })
     }
 
+    /// Suggests columns that never change, as many as an arm has joints with its gripper.
+    fn question_at_rest(&self, log: &Log) -> Option<ColumnQuestion> {
+        let table = &self.cells.table;
+        let all: Vec<usize> = (0..self.cells.numbers.len()).collect();
+        let mut alike = all.chunk_by(|&one, &other| self.are_alike(&[one, other]));
+        let dofs = || self.arms.iter().map(|arm| arm.chain.dof());
+        let is_constant = |at: usize| table.content(at, &[]) == ColumnContent::Constant;
+        // The last one may be a gripper.
+        let state = |columns: &'_ [usize]| -> Option<Vec<usize>> {
+            let topic = &log.topics[self.cells.numbers[columns[0]].at.0];
+            let count = columns.len();
+            let dof = dofs().find(|dof| (*dof..=dof + 1).contains(&count))?;
+            let joints = &columns[..dof];
+            let is_it = array_role(&topic.name, count, false).0 != Role::Reference
+                && joints.iter().all(|&at| is_constant(at))
+                && joints.iter().any(|&at| !table.is_always(at, 0.0));
+            is_it.then(|| joints.to_vec())
+        };
+        let joints = alike.find_map(state)?;
+        let joints = joints.as_slice();
+        let answer = self.answer(&[(None, Content::Joints(None), joints)]);
+        let text = format!(
+            "{} never change: the arm rests, or the recorder repeats one state; if these are the joints, use {answer}",
+            self.label(joints),
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
+    }
+
     /// Suggests the first columns within the joint limits, as many as the only arm has joints; those followed by
     /// their rates come first.
     fn question_by_order(&self) -> Option<ColumnQuestion> {
@@ -566,6 +612,7 @@ impl<'a> ColumnSearch<'a> {
         let blocks = starts.map(|from| (from..from + dof).collect::<Vec<usize>>());
         let fits = |block: &Vec<usize>| {
             block.iter().all(|&at| table.home(at) == table.home(block[0]))
+                && self.are_alike(block)
                 && table.is_within_limits(block, &arm.chain)
         };
         let blocks: Vec<Vec<usize>> = blocks.filter(fits).collect();
@@ -590,7 +637,9 @@ impl<'a> ColumnSearch<'a> {
             let (column, part) = number.cell.at;
             let is_next = |last: usize| {
                 let other = numbers[last].cell.at;
-                last + 1 == at && (other == (column, part.wrapping_sub(1)) || other.0 != column)
+                last + 1 == at
+                    && (other == (column, part.wrapping_sub(1)) || other.0 != column)
+                    && self.are_alike(&[last, at])
             };
             match runs.last_mut() {
                 Some(run) if run.last().is_some_and(|&last| is_next(last)) => run.push(at),
@@ -598,7 +647,9 @@ impl<'a> ColumnSearch<'a> {
             }
         }
         let (arm, joints) = runs.into_iter().find_map(|run| {
-            let is_it = |block: &JointColumns| block.joints == run;
+            let is_it = |block: &JointColumns| {
+                block.joints == run && !matches!(block.unit, JointValueUnit::Ticks { .. })
+            };
             let mut arms = 0..self.arms.len();
             let arm = arms.find(|&arm| {
                 wanted.chains[arm].dof() == run.len() && table.blocks(wanted, arm).iter().any(is_it)

@@ -182,7 +182,7 @@ pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignme
         match columns {
             Columns::Joints(joints) => {
                 assigned.push(assignment(Content::Joints(unit_of(joints)?), &topic.cells));
-                if !topic.velocity_cells.is_empty() {
+                if topic.velocity_cells.first().is_some_and(|cell| cell.table == table) {
                     assigned.push(assignment(Content::Velocities, &topic.velocity_cells));
                 }
             }
@@ -193,6 +193,17 @@ pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignme
             _ => {}
         }
     }
+    // Velocities of joints in another table.
+    let has_only_velocities = |topic: &&Topic| {
+        let is_own = |cells: &[TableCell]| cells.first().is_some_and(|cell| cell.table == table);
+        is_own(&topic.velocity_cells) && !is_own(&topic.cells)
+    };
+    assigned.extend(topics.iter().filter(has_only_velocities).map(|topic| Assignment {
+        arm: None,
+        is_command: role_of(topic) == Some(Role::Reference),
+        content: Content::Velocities,
+        cells: topic.velocity_cells.clone(),
+    }));
     Some(assigned)
 }
 

@@ -89,6 +89,11 @@ impl LayoutColumns {
                 let (topic, cells) = (group.topic("joints"), all_of(&group.joints));
                 groups.push(ColumnGroup { topic, cells, meaning, why: why(), part: None });
             }
+            if group.joints.is_empty() && !group.velocities.is_empty() {
+                let meaning = ColumnMeaning::Velocities(group.velocity_unit);
+                let (topic, cells) = (group.topic("joints"), all_of(&group.velocities));
+                groups.push(ColumnGroup { topic, cells, meaning, why: why(), part: None });
+            }
             if group.has_pose() {
                 let cells = all_of(&group.pose());
                 let meaning = match cells.len() {
@@ -134,7 +139,7 @@ impl LayoutColumns {
 /// convention has its units declared with it.
 fn conversions(group: &LayoutGroup) -> Vec<(usize, f64)> {
     let mut factors = Vec::new();
-    if let Some(own) = group.velocity_unit {
+    if let Some(own) = group.velocity_unit.filter(|_| !group.joints.is_empty()) {
         let joints = group.joint_unit.unwrap_or_default();
         let factor = own.in_rad() / joints.in_rad();
         factors.extend(group.velocities.iter().map(|&at| (at, factor)));

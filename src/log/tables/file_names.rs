@@ -1,0 +1,138 @@
+//! Tables of bare numbers whose files name the content, such as `log_q_actual.csv` and `jointPosition.csv`.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+
+use super::{Column, Table, clock, names};
+
+/// Column of a table without column names.
+pub(super) const UNNAMED_COLUMN: &str = "array";
+
+/// Names of the tables without column names: the names of their files. Empty if no file names joints or poses.
+/// Files that differ only in numbers have the same name: they are episodes.
+pub(super) fn table_names(paths: &[&Path]) -> HashMap<PathBuf, String> {
+    let named = |path: &Path| names_content(&words_of(path));
+    let is_set = paths.len() > 1 && paths.iter().any(|path| named(path));
+    let paths = || paths.iter().filter(|path| is_set || named(path));
+    let mut counts: BTreeMap<Vec<String>, usize> = BTreeMap::new();
+    paths().for_each(|path| *counts.entry(without_numbers(path)).or_default() += 1);
+    let name = |path: &&Path| {
+        let own = without_numbers(path);
+        let name = if counts[&own] > 1 { own.join("_") } else { stem(path) };
+        (path.to_path_buf(), name)
+    };
+    paths().map(name).collect()
+}
+
+/// Whether the files may be one run: no two name the same content. `None` if none names measured joints or poses.
+pub(crate) fn are_one_run(paths: &[&Path]) -> Option<bool> {
+    let keys: Vec<Vec<String>> = paths.iter().map(|path| without_numbers(path)).collect();
+    let sides_of = |is_it: fn(&[String]) -> bool| -> Vec<String> {
+        let is_command =
+            |key: &[String]| key.iter().any(|word| names::COMMAND_WORDS.contains(&word.as_str()));
+        let own = keys.iter().filter(|key| is_it(key) && !is_command(key));
+        own.map(|key| names::arm_prefix(key)).collect()
+    };
+    let (joints, poses) = (sides_of(names::is_joint_positions), sides_of(names_content));
+    // Poses of several bodies may accompany joints.
+    let measured = if joints.is_empty() { &poses } else { &joints };
+    let distinct = |of: &[String]| of.iter().collect::<BTreeSet<_>>().len() == of.len();
+    let is_one = distinct(measured) && keys.iter().collect::<BTreeSet<_>>().len() == keys.len();
+    (!measured.is_empty()).then_some(is_one)
+}
+
+fn stem(path: &Path) -> String {
+    let is_packed = path.extension().is_some_and(|extension| extension == "zst");
+    let path = if is_packed { path.with_extension("") } else { path.to_owned() };
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn words_of(path: &Path) -> Vec<String> {
+    names::split_words(&stem(path))
+}
+
+fn without_numbers(path: &Path) -> Vec<String> {
+    let mut words = words_of(path);
+    words.retain(|word| !word.bytes().all(|byte| byte.is_ascii_digit()));
+    words
+}
+
+/// Words such as `motor` or `hand` occur in the names of any file.
+fn names_content(words: &[String]) -> bool {
+    let has = |known: &[&str]| words.iter().any(|word| known.contains(&word.as_str()));
+    let is_general = has(&["axis", "axe", "motor", "motors", "servo"]);
+    let is_of_tool = has(&["pose", "tcp", "ee", "eef", "effector", "cartesian", "flange"])
+        || (has(&["tool"]) && has(&["vector", "position", "pos"]));
+    (names::is_joint_positions(words) && !is_general) || (names::is_pose(words) && is_of_tool)
+}
+
+impl Table {
+    /// Names the only column, and separates stamps before the other numbers unless another file has the times.
+    pub(super) fn name_columns(&mut self, name: &str) {
+        /// Positions, six joints or poses without times. Their first number may increase in each row.
+        const COMPLETE_WIDTHS: [usize; 4] = [3, 6, 12, 16];
+        let [column] = self.columns.as_mut_slice() else { return };
+        if column.name != UNNAMED_COLUMN || !column.parts.is_empty() {
+            return;
+        }
+        name.clone_into(&mut column.name);
+        let (width, kind) = (column.width, column.kind.clone());
+        let first: Vec<f64> = column.values.iter().step_by(width.max(1)).copied().collect();
+        let is_clock = clock::increases_like_times(&first, &kind)
+            && (clock::exceed_joints(&first) || !COMPLETE_WIDTHS.contains(&width));
+        if width < 2 || self.times.is_some() || !is_clock {
+            return;
+        }
+        let rest = column.values.chunks_exact(width).flat_map(|row| &row[1..]).copied().collect();
+        let own = Column { width: width - 1, values: rest, ..std::mem::take(column) };
+        let times =
+            Column { name: "time".to_owned(), kind, width: 1, values: first, ..Column::default() };
+        self.columns = vec![times, own];
+        if let Some(lost) = self.lost_rows.remove(&0) {
+            self.lost_rows = BTreeMap::from([(0, lost.clone()), (1, lost)]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table_name(paths: &[&str], of: &str) -> Option<String> {
+        let paths: Vec<&Path> = paths.iter().map(Path::new).collect();
+        table_names(&paths).get(Path::new(of)).cloned()
+    }
+
+    #[test]
+    fn files_name_tables_if_one_names_joints_or_poses() {
+        for (paths, expected) in [
+            (vec!["a/jointPosition.csv"], Some("jointPosition")),
+            (vec!["joints_3.npy"], Some("joints_3")),
+            (vec!["joints_3.npy", "joints_4.npy"], Some("joints")),
+            (vec!["run.csv", "q.csv"], Some("run")),
+            (vec!["ee_pose.csv.zst"], Some("ee_pose")),
+            (vec!["run.csv"], None),
+            (vec!["hand_guiding.csv"], None),
+            (vec!["motor_test.csv"], None),
+            (vec!["run.csv", "forces.csv"], None),
+        ] {
+            assert_eq!(table_name(&paths, paths[0]).as_deref(), expected, "{paths:?}");
+        }
+    }
+
+    #[test]
+    fn one_run_has_measured_joints_once() {
+        for (names, expected) in [
+            (vec!["log_q_actual.csv", "log_q_target.csv", "log_tool_vector.csv"], Some(true)),
+            (vec!["left_joints.csv", "right_joints.csv"], Some(true)),
+            (vec!["joints_1.csv", "joints_2.csv"], Some(false)),
+            (vec!["pick_joints.csv", "place_joints.csv"], Some(false)),
+            (vec!["position.csv", "tcp_pose.csv"], Some(true)),
+            (vec!["tcp_pose_pick.csv", "tcp_pose_place.csv"], Some(false)),
+            (vec!["forces.csv", "currents.csv"], None),
+        ] {
+            let paths: Vec<&Path> = names.iter().map(Path::new).collect();
+            assert_eq!(are_one_run(&paths), expected, "{names:?}");
+        }
+    }
+}
