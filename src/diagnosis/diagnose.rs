@@ -15,7 +15,7 @@ use crate::compliance::{
     diagnose_gains_as_compliance, diagnose_with_compliance, diagnose_with_gains,
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
-use crate::residuals::comparison::has_slow_residual;
+use crate::residuals::comparison::{has_slow_residual, residual_m};
 use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
@@ -115,7 +115,12 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
         !it.streams.iter().any(has_slow_residual)
             || streams.all(|(found, stream)| is_explained_by_links(found, stream))
     };
-    let by_gains = diagnose_with_gains(run, constant);
+    /// Of the residual. Scales that imitated changes of causes on real arms left 0.7 of it or more, true ones at most 0.3.
+    const MAX_RESIDUAL_SHARE: f64 = 0.5;
+    let is_enough = |it: &ArmDiagnosis| {
+        is_explained(it) || residual_m(it) < MAX_RESIDUAL_SHARE * residual_m(constant)
+    };
+    let by_gains = diagnose_with_gains(run, constant).filter(is_enough);
     let gains_as_compliance =
         diagnose_gains_as_compliance(run, by_gains.as_ref().unwrap_or(constant));
     if by_gains.as_ref().is_some_and(is_explained) {

@@ -163,7 +163,7 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
     if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         encoding = Err(NotObservable::NotExcited);
     }
-    result.to_diagnosis(encoding)
+    result.into_diagnosis(encoding)
 }
 
 /// Diagnoses joint states and streams without looking for another joint encoding.
@@ -194,7 +194,7 @@ pub(super) fn diagnose_arm_encoded(
         diagnose(joints, &corrected, streams, position_encodings, true)
     };
     let result = diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
-    result.to_diagnosis(Ok(encoding))
+    result.into_diagnosis(Ok(encoding))
 }
 
 /// Counts as 1: less than 0.1° per turn.
@@ -255,7 +255,7 @@ impl EncodingResult {
     }
 
     /// The diagnosis, with refined scales and couplings in `encoding`. Those that are 1 and 0 are left out.
-    fn to_diagnosis(self, mut encoding: EstimateResult<JointEncoding>) -> ArmDiagnosis {
+    fn into_diagnosis(self, mut encoding: EstimateResult<JointEncoding>) -> ArmDiagnosis {
         let Self { offsets, mut scales, mut couplings, streams } = self;
         if let Ok(encoding) = &mut encoding {
             for unit_error in &mut encoding.unit_errors {

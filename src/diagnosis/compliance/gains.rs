@@ -44,7 +44,8 @@ pub(crate) fn diagnose_with_gains(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Opt
         let Some((encoding, price)) = run.encoding_with_another_gain(before) else { break };
         let mut after = run.diagnose_encoded(encoding);
         if let Ok(encoding) = &mut after.joints.encoding {
-            let [as_logged, corrected] = [&diagnosis.streams, &after.streams].map(rms_m);
+            let [as_logged, corrected] =
+                [&diagnosis.streams, &after.streams].map(|streams| rms_m(streams));
             encoding.residual = Some(UnitResiduals { as_logged, corrected });
         }
         if log_bayes_factor(&after, before) <= price {
@@ -109,7 +110,7 @@ impl ArmRun<'_> {
 }
 
 /// Of the positions of all streams.
-fn rms_m(streams: &Vec<PoseDiagnosis>) -> f64 {
+fn rms_m(streams: &[PoseDiagnosis]) -> f64 {
     let residuals = streams.iter().filter_map(|stream| stream.residual.as_ref().ok());
     residuals.map(|residual| residual.rms_m).fold(0.0, f64::max)
 }

@@ -115,9 +115,9 @@ pub(super) fn diagnose_gains_as_compliance(
         return None;
     }
     let after = run.fit_compliance(&run.diagnose_as_logged())?;
-    let is_usual = !after.joints.compliance.iter().any(JointCompliance::is_eccentric);
-    (is_usual && log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER)
-        .then_some(after)
+    let is_eccentric = after.joints.compliance.iter().any(JointCompliance::is_eccentric);
+    let min_log_ratio = MAX_LOG_RATIO_OF_CONFOUNDER * if is_eccentric { 1.0 } else { -1.0 };
+    (log_bayes_factor(&after, diagnosis) > min_log_ratio).then_some(after)
 }
 
 /// Whether sizes differ by less than they are uncertain.
