@@ -115,7 +115,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
         !it.streams.iter().any(has_slow_residual)
             || streams.all(|(found, stream)| is_explained_by_links(found, stream))
     };
-    /// Of the residual. Scales that imitated changes of causes on real arms left 0.7 of it or more, true ones at most 0.3.
+    /// Of the residual, as between two interpretations of the joint states.
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
     let is_enough = |it: &ArmDiagnosis| {
         is_explained(it) || residual_m(it) < MAX_RESIDUAL_SHARE * residual_m(constant)
@@ -131,9 +131,11 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
         gains_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
     // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
-    let by_compliance = by_compliance.filter(|it| {
-        !are_steps_enough || !it.joints.compliance.iter().any(JointCompliance::is_eccentric)
-    });
+    let is_eccentric =
+        |it: &ArmDiagnosis| it.joints.compliance.iter().any(JointCompliance::is_eccentric);
+    let by_compliance = by_compliance.filter(|it| !are_steps_enough || !is_eccentric(it));
+    // A part of the effect of an eccentric gear is a scale.
+    let by_gains = by_gains.filter(|_| !by_compliance.as_ref().is_some_and(is_eccentric));
     likeliest(by_compliance.into_iter().chain(by_steps).chain(by_gains))
 }
 

@@ -136,3 +136,73 @@ fn with_gain(encoding: &JointEncoding, Gain { column, by }: Gain, amount: f64) -
     }
     with
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion;
+    use crate::test_random::Lcg;
+    use crate::{ArmDiagnosis, diagnose_run};
+    use ground::geometry::{Vec3, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// Diagnosis of poses of the arm where the joints actually are, with link deviations of 0.1 mm.
+    fn diagnosed(
+        actual: impl Fn(&[f64]) -> Vec<f64>,
+        late_by: impl Fn(f64) -> f64,
+    ) -> ArmDiagnosis {
+        let (joints, chain) = test_motion::arm();
+        let deviating = test_motion::deviating_chain(1e-4);
+        let mut random = Lcg::new();
+        let noisy = |q: &[f64]| {
+            let [shift, turn] = [1e-5, 1e-5].map(|size| random.triple(size));
+            let pose = deviating.forward(&actual(q));
+            let turn = rotation_from_rotvec(turn.into());
+            (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
+        };
+        let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let t_s = joints.t_s.iter().map(|t_s| t_s + late_by(*t_s)).collect();
+        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        diagnose_run(&joints, &[test_motion::tip_stream(&track, &chain)], &[false; 6], 1.0)
+    }
+
+    #[test]
+    fn a_small_scale_of_a_joint_is_measured_beside_link_deviations() {
+        let scaled = |q: &[f64]| {
+            let mut q = q.to_vec();
+            q[3] *= 1.01;
+            q
+        };
+        let found = diagnosed(scaled, |_| 0.0);
+        let scales: Vec<usize> = found.joints.scales.iter().map(|scale| scale.column).collect();
+        assert_eq!(scales, [3]);
+        let factor = found.joints.scales[0].factor;
+        assert!((factor.value - 1.01).abs() < 5e-4, "{factor:?}");
+    }
+
+    #[test]
+    fn a_weak_coupling_of_joints_is_measured_beside_link_deviations() {
+        let coupled = |q: &[f64]| {
+            let mut q = q.to_vec();
+            q[5] += 0.03 * q[4];
+            q
+        };
+        let found = diagnosed(coupled, |_| 0.0);
+        let encoding = found.joints.encoding.expect("an encoding");
+        let couplings: Vec<(usize, usize)> =
+            encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by)).collect();
+        assert_eq!(couplings, [(5, 4)]);
+        let factor = encoding.couplings[0].factor;
+        assert!((factor.value - 0.03).abs() < 5e-4, "{factor:?}");
+    }
+
+    #[test]
+    fn a_deviating_arm_needs_no_gains_and_shows_a_small_skew() {
+        let found = diagnosed(|q| q.to_vec(), |t_s| 1e-4 * t_s);
+        assert!(found.joints.scales.is_empty());
+        assert!(found.joints.encoding.is_ok_and(|encoding| encoding.is_as_logged()));
+        let stream = &found.streams[0];
+        let skew = stream.skew.as_ref().expect("a skew");
+        assert!(stream.is_skew_chosen && (skew.value - 1e-4).abs() < 1e-5, "{skew:?}");
+    }
+}
