@@ -1,4 +1,4 @@
-//! `--columns`: what an audit proposes can be pasted, and gives the same answer. Several tables as one run.
+//! `--columns`: pasting the proposal of an audit gives the same answer. Several tables as one run.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -185,7 +185,7 @@ pub fn judge_scalar_change(
         effect_m,
         all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
     };
-    // Its selection has shown that there is a change. The interval contains few degrees of freedom.
+    // The selection of the change has shown that it is not zero, so the 95 % interval suffices.
     let is_significant =
         change.size.value.abs() > threshold.unit.half_width(&change.size, PASS_CONFIDENCE);
     let decision = match threshold.severity(change.size.value.abs()) {

@@ -12,7 +12,7 @@ use crate::changes::{
     diagnose_with_recorded_encoding_changes, is_explained_by_links,
 };
 use crate::compliance::{
-    diagnose_gains_as_compliance, diagnose_with_compliance, diagnose_with_gains,
+    diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_slow_residual, residual_m};
@@ -120,23 +120,22 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let is_enough = |it: &ArmDiagnosis| {
         is_explained(it) || residual_m(it) < MAX_RESIDUAL_SHARE * residual_m(constant)
     };
-    let by_gains = diagnose_with_gains(run, constant).filter(is_enough);
-    let gains_as_compliance =
-        diagnose_gains_as_compliance(run, by_gains.as_ref().unwrap_or(constant));
-    if by_gains.as_ref().is_some_and(is_explained) {
-        return gains_as_compliance.or(by_gains);
+    let by_gain = diagnose_with_gain(run, constant).filter(is_enough);
+    let gain_as_compliance = diagnose_gain_as_compliance(run, by_gain.as_ref().unwrap_or(constant));
+    if by_gain.as_ref().is_some_and(is_explained) {
+        return gain_as_compliance.or(by_gain);
     }
     let by_steps = diagnose_with_cause_changes(run, constant);
     let by_compliance =
-        gains_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
+        gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
     // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
     let is_eccentric =
         |it: &ArmDiagnosis| it.joints.compliance.iter().any(JointCompliance::is_eccentric);
     let by_compliance = by_compliance.filter(|it| !are_steps_enough || !is_eccentric(it));
     // A part of the effect of an eccentric gear is a scale.
-    let by_gains = by_gains.filter(|_| !by_compliance.as_ref().is_some_and(is_eccentric));
-    likeliest(by_compliance.into_iter().chain(by_steps).chain(by_gains))
+    let by_gain = by_gain.filter(|_| !by_compliance.as_ref().is_some_and(is_eccentric));
+    likeliest(by_compliance.into_iter().chain(by_steps).chain(by_gain))
 }
 
 #[cfg(test)]

@@ -30,8 +30,8 @@
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
-//! 7. `compliance::gains` finds scales of joints and couplings between them. If they do not explain the residual, `changes`
-//!    finds steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
+//! 7. `compliance::gains` finds a scale or a coupling of a joint. If it does not explain the residual, `changes` finds
+//!    steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
 //!    deviations. `compliance` competes with both. Each corrects the run and repeats steps 4 to 6. The likeliest diagnosis
 //!    wins (`selection::evidence`). If a residual remains, `changes` looks for segments with other encodings, encodes them
 //!    like the longest one, and repeats steps 1 to 7. A run that follows FK as logged only between gaps or jumps of the

@@ -17,8 +17,8 @@ struct OtherClock<'a> {
 }
 
 /// The arm with corrected stamps of the joint states, and their latency profile. `None` unless all streams with
-/// independent stamps vary, and one of them has latency steps. A single one may have stepped itself: then the steps must
-/// show in the joint states.
+/// independent stamps vary, and at least one has latency steps. A single stream may have stepped itself, so the steps must
+/// also show in the joint states.
 pub(super) fn with_corrected_joint_stamps(
     arm: &Arm,
     found: &ArmStreamsDiagnosis,
@@ -127,8 +127,8 @@ impl OtherClock<'_> {
     }
 }
 
-/// Time at which the joints move too far or not far enough for their stamps, by as much as `step` of another stream's
-/// latency implies. `None` if there is no such interval near the step.
+/// Time when the joints jump by as much as they move during `step` of another stream's latency. `None` if they do not
+/// jump near the step.
 fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
     /// A profile dates a step to a window or to the next motion.
     const MAX_ERROR_S: f64 = 1.5;
@@ -162,7 +162,7 @@ fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
     (difference(best) < MAX_DIFFERENCE_SHARE * size_s.abs()).then_some(best.0)
 }
 
-/// Joint states with stamps without the latency of `profile`. Rows that are then out of order are left out.
+/// Subtracts the latency in `profile` from the stamps of joint states, and drops rows that are then out of order.
 fn with_true_stamps(joints: &JointTrack, profile: &LatencyProfile) -> JointTrack {
     let rows = rows_in_true_order(&joints.t_s, profile);
     let values = |all: &[f64]| {

@@ -33,7 +33,7 @@ pub(super) use self::database::read as read_database;
 
 const METADATA: &str = "metadata.yaml";
 
-/// Of a file beside the tables of a run.
+/// Note on another file in the folder of a run.
 const NOT_READ: &str = "was not read: neither its rows nor its name show what it holds";
 
 const MAX_METADATA_BYTES: u64 = 16 << 20;
@@ -215,7 +215,7 @@ fn is_bare_table(path: &Path) -> bool {
         && !is_text_table(path)
 }
 
-/// Text files beside the tables of a run that are named as one.
+/// Other files in the folder with the extension of the tables.
 fn unread_tables(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     if !inputs.iter().all(|input| is_bare_table(&input.path) || is_text_table(&input.path)) {
         return Vec::new();

@@ -49,7 +49,7 @@ pub struct Arm {
     pub joint_correction: Option<JointStateCorrection>,
     /// Measured and candidate tool poses.
     pub poses: Vec<PoseSource>,
-    /// Tip poses from the log's transforms, or why there are none.
+    /// Tip poses from the log's transforms, or why they are unavailable.
     pub tf: Result<PoseSource, TfUnavailable>,
     /// Transforms (parent, child) that `tf` takes from the model.
     pub from_model: Vec<(String, String)>,

@@ -56,7 +56,7 @@ pub(super) fn fit(
     Some(with_hidden_skews(fitted, &observations))
 }
 
-/// Measures the skews of an arm whose links deviate: in its residual, the selection of causes cannot see small ones.
+/// Measures the skews of an arm whose links deviate. Small ones are hidden from the selection of causes.
 fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
     if fitted.deviations.is_none() {
         return fitted;

@@ -68,7 +68,7 @@ impl PoseDiagnosis {
             held_out.is_none_or(|held_out| held_out.is_lower())
         };
         let StreamHeldOut { skew, radial_scale, reference, tool, .. } = &self.held_out;
-        // Their error from link deviations hides that of a skew.
+        // Link deviations cause larger errors than small skews.
         self.is_skew_chosen &= self.is_nominal || is_lower(skew);
         self.is_radial_scale_chosen &= is_lower(radial_scale);
         for (frame, held_out) in [(&mut self.reference, reference), (&mut self.tool, tool)] {

@@ -24,7 +24,7 @@ use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
 
-pub(super) use gains::diagnose_with_gains;
+pub(super) use gains::diagnose_with_gain;
 use gravity::MassModel;
 use search::{ComplianceSearch, MASS_STD_ERROR};
 use shapes::USUAL_COMPLIANCE_RAD;
@@ -101,7 +101,7 @@ pub(super) fn diagnose_with_compliance(
 
 /// Diagnosis with compliance, if it explains a joint's scale or coupling in `diagnosis` about as well. Over a small range,
 /// sag looks like a scale of 1 %, which is rarer. Eccentric gears are rarer still.
-pub(super) fn diagnose_gains_as_compliance(
+pub(super) fn diagnose_gain_as_compliance(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {

@@ -34,6 +34,7 @@ use std::borrow::Cow;
 pub(super) use corrected_joints::CorrectedJoints;
 pub(super) use interpreted_poses::ResidualSize;
 pub(super) use map::{half_turns, is_quarter_turn};
+pub(super) use search::MIN_MOTION_RAD;
 
 /// For an interpretation other than the logged one.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;

@@ -15,8 +15,6 @@ use std::f64::consts::TAU;
 /// Per kind on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES` samples.
 const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
-/// Of the residuals then: others do not converge to the least one.
-const MAX_ROUGH_RATIO: f64 = 30.0;
 const ROUGH_SAMPLES: usize = 20;
 /// Steps of the full refinement.
 const MAX_STEPS: usize = 25;
@@ -24,7 +22,7 @@ const MAX_STEPS: usize = 25;
 const MAX_UNSCREENED_PROPOSALS: usize = 150;
 const SCREENING_SAMPLES: usize = 12;
 /// To determine a joint's sign and scale.
-const MIN_MOTION_RAD: f64 = 0.05;
+pub(crate) const MIN_MOTION_RAD: f64 = 0.05;
 const MIN_MOTION_M: f64 = 5e-3;
 /// Ratio to the best residual that excludes another interpretation.
 const MIN_RESIDUAL_RATIO: f64 = 2.0;
@@ -147,8 +145,6 @@ fn refine_and_select(
         })
         .collect();
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let least = rough.first().map_or(0.0, |first| first.0).max(RESIDUAL_FLOOR_M);
-    rough.retain(|(residual, _)| *residual < MAX_ROUGH_RATIO * least);
     rough.truncate(REFINED_PROPOSALS);
     let polished: Vec<(f64, RefinedProposal)> = rough
         .into_par_iter()

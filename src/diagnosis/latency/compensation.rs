@@ -3,6 +3,7 @@
 use crate::arm::diagnose_arm;
 use crate::arm_run::ArmRun;
 use crate::imu::diagnose_converted_imu;
+use crate::residuals::comparison::residual_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
     JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
@@ -34,8 +35,16 @@ impl CompensatedRun {
                 .collect()
         };
         let mut changes = detect_changes(joints);
+        let mut first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+        if changes.iter().any(Option::is_some) {
+            // Misread joints change the speeds as well.
+            let none = vec![None; streams.len()];
+            let as_logged = diagnose_without_coarse_changes(joints, streams, &none, max_lag_s);
+            if residual_m(&as_logged) <= residual_m(&first) {
+                (changes, first) = (none, as_logged);
+            }
+        }
         let as_detected = changes.clone();
-        let first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
         let diagnose_without =
             |changes: &[Option<CoarseLatencyChange>]| match changes == as_detected {
                 true => first.clone(),

@@ -275,8 +275,9 @@ pub(crate) fn fit_profile(
     skew: f64,
     removed_ramp: Option<&LatencyRamp>,
 ) -> EstimateResult<LatencyProfile> {
-    /// With a standard error that distinguishes latencies that matter, s.
+    /// Of precise windows.
     const MIN_WINDOWS: usize = 4;
+    /// Usual delays of drivers are 1 to 2 ms.
     const MAX_STD_ERROR_S: f64 = 2e-3;
     let mut samples = normalized(latency_samples);
     if let Some(ramp) = removed_ramp {

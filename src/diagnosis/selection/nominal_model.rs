@@ -67,7 +67,7 @@ pub(crate) fn is_nominal(
 /// Whether link deviations with a constant latency are as likely as with the unsteady latency `profile`. Slow motion
 /// hides large latency changes, and link deviations resemble one there.
 ///
-/// `state` has no causes that calibrations explain, and is that at stamps without `removed`.
+/// `state` excludes causes that calibrations explain. It refers to stamps without `removed`.
 pub(crate) fn link_deviations_beat_profile(
     observations: &PoseObservations,
     state: &StreamState,

@@ -39,7 +39,7 @@ pub(super) struct TextLayout {
     pub line: usize,
 }
 
-/// Whether its first rows have as many cells as the names above them, but hardly any numbers.
+/// Whether the first rows have equally many cells.
 pub(crate) fn is_table_of_text(bytes: &[u8]) -> bool {
     const CHECKED_ROWS: usize = 20;
     let text = text_encoding::to_utf8(bytes);
@@ -88,7 +88,7 @@ pub(super) fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
     cells
 }
 
-/// Replaces `cells` by those of the line.
+/// Replaces `cells` by the cells in the line.
 pub(super) fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
     cells.clear();
     if delimiter == b' ' {
@@ -370,7 +370,7 @@ fn build_table(
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |at: usize| {
         let finite = values[at].iter().filter(|value| value.is_finite()).count();
-        // Empty cells are those of a stream with fewer rows.
+        // A stream with fewer rows leaves its cells empty.
         rows == 0 || (finite > 0 && finite >= text_counts[at])
     };
     let kind = || "number".to_owned();

@@ -52,8 +52,8 @@ impl VelocityFile {
         intake.read_as(channel, format!("{why}, {why_not}"), cells, Vec::new());
     }
 
-    /// Joints without velocities whose topic has the same words. For a name without words, such as that of declared
-    /// velocities, the only joints with as many columns.
+    /// Joints without velocities whose topic has the same words. Declared velocities have no words: they belong to
+    /// the only joints with as many columns.
     fn joints_topic(&self, streams: &BTreeMap<String, TableStream>) -> Option<String> {
         let words = |topic: &str| names::shared_words(&names::split_words(topic));
         let fits = |stream: &TableStream| match &stream.columns {
