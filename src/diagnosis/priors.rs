@@ -36,6 +36,13 @@ pub(crate) const ZERO_PRIOR: f64 = 0.02;
 pub(crate) const RADIAL_SCALE_PRIOR: f64 = 0.01;
 pub(crate) const ABSENT_RADIAL_SCALE_PRIOR: f64 = 1e-9;
 
+/// Priors on a jump or heading error of an IMU's yaw, a slip of its mount, a step of a gyro's bias (0.3 °/s is common, 3 °/s
+/// occurs), and its scale error.
+pub(crate) const YAW_PRIOR_RAD: f64 = 0.3;
+pub(crate) const MOUNT_PRIOR_RAD: f64 = 1.0;
+pub(crate) const BIAS_PRIOR_RAD_S: f64 = 0.05;
+pub(crate) const GYRO_SCALE_PRIOR: f64 = 0.05;
+
 /// Log ratio of a joint zero beside link deviations (a likelihood ratio of about fifty).
 pub(crate) const MIN_LOG_RATIO_OF_ZERO: f64 = 8.0;
 /// Log ratio of sag in the place of a joint zero, which is the more common fault.

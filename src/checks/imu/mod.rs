@@ -6,6 +6,9 @@ pub(super) mod yaw003_imu_mount;
 pub(super) mod yaw004_gyro_bias;
 
 use super::Family;
+use super::decision::DEGREE;
+use crate::evidence::ArmEvidence;
+use crate::finding::{Outcome, Ruling, Unit};
 
 pub(super) static FAMILY: Family = Family {
     examines: "IMUs on the arm",
@@ -16,3 +19,22 @@ pub(super) static FAMILY: Family = Family {
         &yaw004_gyro_bias::YAW004,
     ],
 };
+
+/// Withdraws a finding if FK has an unexplained rotation error that is not much smaller than this one.
+fn unless_fk_is_wrong(outcome: Outcome, arm: &ArmEvidence, error_rad: f64) -> Outcome {
+    /// Nominal kinematics stay below it (MDL001).
+    const MIN_UNEXPLAINED_RAD: f64 = 0.5 * DEGREE;
+    const MIN_RATIO: f64 = 5.0;
+    let residuals = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let unexplained = residuals.map(|residual| residual.excess_rad.value).fold(0.0, f64::max);
+    let is_wrong = unexplained > MIN_UNEXPLAINED_RAD && error_rad.abs() < MIN_RATIO * unexplained;
+    match outcome {
+        Outcome::Evaluated(Ruling::Fail(_)) if is_wrong => {
+            let residual = Unit::Radian.show(unexplained);
+            Outcome::Inconclusive(format!(
+                "poses and FK differ by an unexplained {residual} (MDL001); check the model"
+            ))
+        }
+        outcome => outcome,
+    }
+}

@@ -1,9 +1,10 @@
 use serde_json::{Map, Value, json};
 
+use super::unless_fk_is_wrong;
 use crate::checks::decision::{DEGREE, Threshold, decide, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{HeadingError, Measured, YawJump, YawProfile, YawWarmUp};
-use crate::evidence::{ImuEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -31,7 +32,9 @@ rule! {
     ///   the IMU's `axis`.
     /// - `warm-up`: a drift that decays with `time_constant_s`.
     ///
-    /// The heading error is removed before jumps and drift are estimated; jumps and walk before the drift.
+    /// All parts are fitted together. The links may deviate from the model by the usual 0.04° per axis, so an
+    /// error that depends on the posture is neither drift nor jump. If poses and FK differ by an unexplained
+    /// rotation (MDL001), only a yaw error of five times its size is a finding.
     ///
     /// ## How to fix
     /// Take yaw from kinematics, or give the filter a heading reference. Calibrate the gyro bias while the
@@ -64,11 +67,11 @@ const JUMP: Threshold =
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    case.evidence.imus().flat_map(|(_, imu)| judge(case, imu)).collect()
+    case.evidence.imus().flat_map(|(arm, imu)| judge(case, arm, imu)).collect()
 }
 
 /// Drift, and the largest jump, heading error and warm-up if significant.
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
+fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
         [THRESHOLD, JUMP].map(|own| case.thresholds.threshold(&YAW001, own));
@@ -77,8 +80,10 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
         Err(why) => return vec![imu.judged(not_observable(why, SETTLE))],
     };
     let profile = &imu.diagnosis.yaw_profile;
+    let trusted = |outcome, yaw_rad| unless_fk_is_wrong(outcome, arm, yaw_rad);
     let outcome = decide(drift, &drift_threshold, subjects)
         .into_outcome(&describe_profile(profile), |severity| drift_fault(imu, drift, severity));
+    let outcome = trusted(outcome, drift.value * imu.seconds());
     let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, drift);
     let kind = if profile.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
     let mut judged = vec![with_profile(imu.judged(outcome).estimated(estimate), profile, kind)];
@@ -88,6 +93,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     if let Some(jump) = largest.filter(|jump| size(jump) >= jump_threshold.warning) {
         let outcome = decide(&jump.size_rad, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
+        let outcome = trusted(outcome, jump.size_rad.value);
         let estimate = Estimate::scalar("yaw jump", JUMP.unit, &jump.size_rad);
         let of_jump = imu.judged(outcome).estimated(estimate);
         judged.push(with_profile(of_jump, profile, "jump"));
@@ -98,6 +104,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
         let amplitude = &heading.amplitude_rad;
         let outcome = decide(amplitude, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| depends(heading, severity));
+        let outcome = trusted(outcome, amplitude.value);
         let estimate = Estimate::scalar("yaw error by heading", JUMP.unit, amplitude);
         let of_heading = imu.judged(outcome).estimated(estimate).with_evidence("kind", "heading");
         judged.push(of_heading.with_evidence("axis", AXES[heading.axis]));
@@ -108,6 +115,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
         let at_first = &warm_up.at_first_rad_s;
         let outcome = decide(at_first, &drift_threshold, subjects)
             .into_outcome(SETTLE, |severity| warm_up_fault(warm_up, severity));
+        let outcome = trusted(outcome, warm_up.turned_rad.value);
         let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, at_first);
         let settling = imu.judged(outcome).estimated(estimate).with_evidence("kind", "warm-up");
         judged.push(settling.with_evidence("time_constant_s", warm_up.time_constant_s));

@@ -1,7 +1,8 @@
+use super::unless_fk_is_wrong;
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{ImuMountChange, MeasuredLength};
-use crate::evidence::{ImuEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
@@ -35,7 +36,8 @@ rule! {
     ///
     /// ## When it misleads
     /// A wrong static transform and a wrongly mounted sensor look the same. Zero offsets of the wrist
-    /// joints also rotate the mount; the offsets found are corrected first.
+    /// joints also rotate the mount; the offsets found are corrected first. If the motion does not determine
+    /// the mount, gravity at rest does in part: the finding then assumes that the base's z axis is vertical.
     YAW003 {
         name: "imu-mount",
         grade: Grade::From(&[THRESHOLD]),
@@ -52,9 +54,9 @@ const THRESHOLD: Threshold =
 const SETTLE: &str = "rotate the IMU through 60° about two axes";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    let imus = || case.evidence.imus().map(|(_, imu)| imu);
-    let axes = imus().filter_map(|imu| judge_axes(case, imu));
-    imus().map(|imu| judge(case, imu)).chain(axes).collect()
+    let imus = || case.evidence.imus();
+    let axes = imus().filter_map(|(_, imu)| judge_axes(case, imu));
+    imus().map(|(arm, imu)| judge(case, arm, imu)).chain(axes).collect()
 }
 
 /// Gyro axes must be right-handed and match the orientation's; `None` if they do.
@@ -100,11 +102,12 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
     Some(judged.estimated(estimate))
 }
 
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
+fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
     let slips = imu.diagnosis.mount_change.as_ref().and_then(|change| {
         let decision = decide_length(&change.size_rad, &threshold, case.evidence.subjects());
-        matches!(decision, Decision::Fail(_)).then_some((decision, change))
+        let is_vague = change.size_rad.norm.half_width(0.95) > threshold.error;
+        (matches!(decision, Decision::Fail(_)) && !is_vague).then_some((decision, change))
     });
     let judged = match (&imu.diagnosis.mount_rad, slips) {
         (_, Some((decision, change))) => {
@@ -118,13 +121,19 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
             };
             let outcome = decision
                 .into_outcome(SETTLE, |severity| slipped(case, imu, change, &when, severity));
+            let outcome = unless_fk_is_wrong(outcome, arm, change.size_rad.norm.value);
             let estimate = Estimate::length("mount error", THRESHOLD.unit, &change.size_rad);
             imu.judged(outcome).estimated(estimate.with_change(when)).with_evidence(
                 "link_from_imu_after",
                 xyzw_from_rotation(&change.link_from_imu).to_vec(),
             )
         }
-        (Err(why), None) => imu.judged(not_observable(why, SETTLE)),
+        (Err(why), None) => match gravity_error(imu).filter(|tilt| *tilt > threshold.error) {
+            Some(tilt_rad) => imu
+                .judged(Outcome::fail(off_gravity(imu, tilt_rad)))
+                .estimated(Estimate::exact("mount error", THRESHOLD.unit.symbol(), tilt_rad)),
+            None => imu.judged(not_observable(why, SETTLE)),
+        },
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;
@@ -139,6 +148,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
                     decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity))
                 }
             };
+            let outcome = unless_fk_is_wrong(outcome, arm, mount.norm.value);
             let estimate = Estimate::length("mount error", THRESHOLD.unit, mount);
             imu.judged(outcome).estimated(estimate)
         }
@@ -157,6 +167,33 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
             .with_evidence("logged_direction_cosines", direction_cosines(logged, link))
             .with_evidence("logged_axes", sentences(logged, link)),
         None => judged,
+    }
+}
+
+/// Angle between the base's z axis and the up direction by accelerometer, FK and the logged mount: that of a
+/// base that stands or hangs.
+fn gravity_error(imu: &StreamEvidence<ImuEvidence>) -> Option<f64> {
+    let (up, logged) = (imu.diagnosis.up?, imu.link_from_imu?);
+    let assumed = imu.diagnosis.link_from_imu?;
+    let in_base = up.in_base;
+    (angle_between(&logged, &assumed) < f64::EPSILON.sqrt())
+        .then(|| in_base.z.abs().min(1.0).acos())
+}
+
+fn off_gravity(imu: &StreamEvidence<ImuEvidence>, tilt_rad: f64) -> Fault {
+    let tilt = Unit::Radian.show(tilt_rad);
+    Fault {
+        severity: Severity::Warning,
+        cause: Cause::Pictured(Picture::ImuAxes),
+        title: "IMU mount contradicts gravity",
+        message: format!(
+            "with the mount in the log's frames, the accelerometer of {} feels gravity {tilt} off the base's \
+             vertical: the mount is wrong, unless the base is tilted",
+            imu.link
+        ),
+        evidence: Evidence::default(),
+        fix: "correct the IMU's static transform, or rotate the IMU about two axes to decide"
+            .to_owned(),
     }
 }
 

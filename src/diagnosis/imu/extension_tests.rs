@@ -1,13 +1,13 @@
-//! Tests whether IMU parameters vary over time: a step (sup-F over the change point: Andrews 1993), an
-//! exponential decay, or a dependence on another quantity. Each test extends one linearised model by
-//! weighted columns. Extensions compete by the log Bayes factor over the base model, as diagnoses of an arm do
-//! (`selection::evidence`).
+//! Tests whether IMU parameters vary over the run: a step (sup-F over the change point: Andrews 1993), an
+//! exponential decay, a random walk, or a dependence on another quantity. Each test extends one linearised
+//! model by weighted columns. Extensions compete by the log Bayes factor over the base model, as diagnoses
+//! of an arm do (`selection::evidence`).
 
 use crate::priors::price;
-use crate::solver::linear::{Linear, Normal, Triangle};
+use crate::solver::linear::{Linear, Normal, ridged};
 use crate::solver::noise::Noise;
 use crate::solver::robust::robust_sigma;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Pieces that approximate a weight function in the coarse search.
 const COARSE_PIECES: usize = 240;
@@ -18,53 +18,109 @@ const OUTLIER_SIGMAS: f64 = 8.0;
 
 pub(super) struct ExtensionTests<'a> {
     linear: &'a Linear,
-    t_s: Vec<f64>,
-    /// Free parameters of the base model.
+    t_s: &'a [f64],
+    /// Parameters of the base model.
     base: Vec<usize>,
+    /// Their prior precisions; 0 without a prior.
+    precision: Vec<f64>,
     robust_weights: Vec<f64>,
     /// Error of the base model without any fault; smaller residuals distinguish no extensions.
     model_error: f64,
-    /// Residual sum of squares of the base model.
-    residual_squares: f64,
+    normal: Normal,
+    /// Base model under its own noise.
+    fit: BaseFit,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct ModelExtension {
-    /// Change point or time constant, s; 0 if neither applies.
-    pub at_s: f64,
-    /// 95 % interval.
+    /// Change point or time constant, s, or density of a walk; 0 if none applies.
+    pub at: f64,
+    /// 95 % interval of a change point.
     pub interval_s: [f64; 2],
     /// Twice the log Bayes factor over the base model.
     pub log_bayes_factor: f64,
-    /// Residual sum of squares.
-    residual_squares: f64,
-    /// Variance of independent noise.
-    variance: f64,
 }
 
-impl ModelExtension {
-    /// Whether it is likelier than the base model.
-    pub fn is_likelier(&self) -> bool {
-        self.log_bayes_factor > 0.0
+/// Noise as that of independent samples.
+#[derive(Clone, Copy)]
+struct IndependentNoise {
+    variance: f64,
+    /// Their number.
+    independent: f64,
+}
+
+/// Base model for one variance of independent noise.
+struct BaseFit {
+    cholesky: Cholesky<f64, Dyn>,
+    parameters: DVector<f64>,
+    /// Residual and prior sum of squares.
+    squares: f64,
+}
+
+/// Products of additional columns.
+#[derive(Clone)]
+struct Added {
+    with_base: DMatrix<f64>,
+    own: DMatrix<f64>,
+    with_residual: DVector<f64>,
+}
+
+/// Fit of additional columns.
+struct AddedFit {
+    /// Decrease of the sum of squares.
+    gain: f64,
+    parameters: DVector<f64>,
+    log_det: f64,
+}
+
+impl Added {
+    fn zeros(base: usize, own: usize) -> Self {
+        let (with_base, with_residual) = (DMatrix::zeros(base, own), DVector::zeros(own));
+        Self { with_base, own: DMatrix::zeros(own, own), with_residual }
+    }
+
+    /// Adds `other` with its columns multiplied by `weight`; its products count `count` times.
+    fn add(&mut self, other: &Self, weight: f64, count: f64) {
+        self.with_base += &other.with_base * (count * weight);
+        self.own += &other.own * (count * weight * weight);
+        self.with_residual += &other.with_residual * (count * weight);
     }
 }
 
 impl<'a> ExtensionTests<'a> {
-    /// Tests on `linear` with samples at `t_s` and free parameters `base`.
-    pub fn new(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], model_error: f64) -> Self {
+    /// Tests on `linear` with samples at `t_s`. The base model has the parameters `base`, each with a prior
+    /// precision. `None` if they cannot be fitted.
+    pub fn new(
+        linear: &'a Linear,
+        t_s: &'a [f64],
+        base: &[(usize, f64)],
+        model_error: f64,
+    ) -> Option<Self> {
         let residual = &linear.residual[0];
         let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(model_error) * 3f64.sqrt();
         let norm = |r: &[f64; 3]| r.iter().map(|c| c * c).sum::<f64>().sqrt();
-        let robust_weights = residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
-        let base = base.to_vec();
+        let robust_weights: Vec<f64> =
+            residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
+        let precision: Vec<f64> = base.iter().map(|parameter| parameter.1).collect();
+        let base: Vec<usize> = base.iter().map(|parameter| parameter.0).collect();
+        let mut normal = Normal::zeros(base.len());
+        for (sample, &weight) in robust_weights.iter().enumerate() {
+            for axis in 0..3 {
+                let row = linear.row(sample, axis);
+                let row = DVector::from_iterator(base.len(), base.iter().map(|&at| row[at]));
+                let residual = linear.residual(sample, axis);
+                normal.matrix.ger(weight, &row, &row, 1.0);
+                normal.right.axpy(weight * residual, &row, 1.0);
+                normal.cost += weight * residual * residual;
+            }
+        }
+        let first = (robust_sigma(residual).max(model_error)).powi(2);
+        let fit = BaseFit::new(&normal, &precision, first)?;
         let mut tests =
-            Self { linear, t_s, base, robust_weights, model_error, residual_squares: 0.0 };
-        tests.residual_squares = tests.residual_squares(&[], &[]).0;
-        tests
-    }
-
-    fn len(&self) -> usize {
-        self.t_s.len()
+            Self { linear, t_s, base, precision, robust_weights, model_error, normal, fit };
+        let noise = tests.noise(&tests.fit.parameters, &[], &[], &[]);
+        tests.fit = BaseFit::new(&tests.normal, &tests.precision, noise.variance)?;
+        Some(tests)
     }
 
     fn span(&self) -> Option<(f64, f64)> {
@@ -73,34 +129,37 @@ impl<'a> ExtensionTests<'a> {
     }
 
     /// Tests for a step of `columns` and estimates its time.
-    pub fn step(&self, columns: &[usize]) -> Option<ModelExtension> {
+    pub fn step(&self, columns: &[usize], size: f64) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let side_s = MIN_SIDE_SHARE * (last - first);
-        let sums = PrefixSums::new(self, columns);
-        let at = |at_s: f64| sums.residual_with_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
-        let (from_s, to_s) = (first + side_s, last - side_s);
-        let link_state = |k: usize, from_s: f64, to_s: f64| {
-            from_s + (to_s - from_s) * k as f64 / (CHANGE_POINT_CANDIDATES - 1) as f64
+        let before = self.prefix_sums(columns);
+        let at = |at_s: f64| {
+            let from = self.t_s.partition_point(|t_s| *t_s <= at_s);
+            let mut after = before[self.t_s.len()].clone();
+            after.add(&before[from], 1.0, -1.0);
+            self.fit.squares - self.fit.extend(&after, 0.0).map_or(0.0, |fit| fit.gain)
         };
-        let mut best_s =
-            best_candidate((0..CHANGE_POINT_CANDIDATES).map(|k| link_state(k, from_s, to_s)), at)?;
+        let candidates = |from_s: f64, to_s: f64| {
+            let step_s = (to_s - from_s) / (CHANGE_POINT_CANDIDATES - 1) as f64;
+            (0..CHANGE_POINT_CANDIDATES).map(move |k| from_s + step_s * k as f64)
+        };
+        let (from_s, to_s) = (first + side_s, last - side_s);
+        let mut best_s = best_candidate(candidates(from_s, to_s), at)?;
         let mut around_s = 1.5 * (to_s - from_s) / CHANGE_POINT_CANDIDATES as f64;
         for _ in 0..2 {
-            let candidates = (0..CHANGE_POINT_CANDIDATES)
-                .map(|k| link_state(k, best_s - around_s, best_s + around_s));
-            best_s = best_candidate(candidates, at)?;
+            best_s = best_candidate(candidates(best_s - around_s, best_s + around_s), at)?;
             around_s *= 4.0 / CHANGE_POINT_CANDIDATES as f64;
         }
         let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
-        if let Some(before) = next.checked_sub(1).filter(|_| next < self.len()) {
+        if let Some(before) = next.checked_sub(1).filter(|_| next < self.t_s.len()) {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
-        let mut extension = self.best_extension(columns, &[weight])?;
+        let (log_bayes_factor, variance) = self.compare(columns, &[weight], size)?;
         // 95 % likelihood region.
-        let limit = extension.residual_squares + 3.84 * extension.variance;
+        let limit = at(best_s) + 3.84 * variance;
         let end = |sign: f64| {
-            let mut step_s = 1.5 * (last - first) / self.len() as f64;
+            let mut step_s = 1.5 * (last - first) / self.t_s.len() as f64;
             let mut end_s = best_s;
             while at(end_s + sign * step_s) < limit && step_s < last - first {
                 end_s += sign * step_s;
@@ -108,175 +167,212 @@ impl<'a> ExtensionTests<'a> {
             }
             end_s + sign * step_s
         };
-        (extension.at_s, extension.interval_s) = (best_s, [end(-1.0), end(1.0)]);
-        Some(extension)
+        Some(ModelExtension { at: best_s, interval_s: [end(-1.0), end(1.0)], log_bayes_factor })
     }
 
-    /// Tests for an exponential decay of `columns` from the start; `at_s` is the time constant.
-    pub fn decay(&self, columns: &[usize]) -> Option<ModelExtension> {
+    /// Tests for an exponential decay of `columns` from the start, and estimates its time constant.
+    pub fn decay(&self, columns: &[usize], size: f64) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
-        let span_s = last - first;
-        let sums = PrefixSums::new(self, columns);
+        let before = self.prefix_sums(columns);
         let residual = |tau_s: f64, pieces: usize| {
-            sums.residual_with_weight(pieces, |t_s| (-(t_s - first) / tau_s).exp())
+            let samples = self.t_s.len();
+            let pieces = pieces.min(samples);
+            let mut sums = Added::zeros(self.base.len(), columns.len());
+            for piece in 0..pieces {
+                let (from, to) = (piece * samples / pieces, (piece + 1) * samples / pieces);
+                let weight = (-(self.t_s[(from + to) / 2] - first) / tau_s).exp();
+                sums.add(&before[to], weight, 1.0);
+                sums.add(&before[from], weight, -1.0);
+            }
+            -self.fit.extend(&sums, 0.0).map_or(0.0, |fit| fit.gain)
         };
         let taus = (0..CHANGE_POINT_CANDIDATES)
-            .map(|k| span_s * 0.03 * 33f64.powf(k as f64 / CHANGE_POINT_CANDIDATES as f64));
+            .map(|k| (last - first) * 0.03 * 33f64.powf(k as f64 / CHANGE_POINT_CANDIDATES as f64));
         let tau_s = best_candidate(taus, |tau_s| residual(tau_s, COARSE_PIECES))?;
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
-        let tau_s = best_candidate(finer, |tau_s| residual(tau_s, self.len()))?;
+        let tau_s = best_candidate(finer, |tau_s| residual(tau_s, self.t_s.len()))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
-        let extension = self.best_extension(columns, &[weight])?;
-        Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..extension })
+        let extension = self.best_extension(columns, &[weight], size)?;
+        Some(ModelExtension { at: tau_s, ..extension })
     }
 
-    /// Best extension by `columns`, each scaled by one of `weights` (one value per sample). Counts one parameter for
-    /// the time, time constant or axis that selected the weights.
+    /// Extension by `columns`, each scaled by every one of `weights` (one value per sample), with parameters of the
+    /// prior `size`.
     pub fn best_extension(
         &self,
         columns: &[usize],
         weights: &[Vec<f64>],
+        size: f64,
     ) -> Option<ModelExtension> {
-        let (residual_squares, parameters) = self.residual_squares(columns, weights);
-        let residual = self.residual(columns, weights, &parameters);
-        let noise = Noise::estimate(&residual, &self.robust_weights, self.model_error);
-        let samples = 3.0 * self.len() as f64;
-        let inflation = noise.inflation().max(1.0);
-        let mean_square = |squares: f64| squares / samples + self.model_error.powi(2);
-        let independent = samples / inflation;
-        let ratio = mean_square(self.residual_squares) / mean_square(residual_squares);
-        let added = columns.len() * weights.len() + 1;
-        let log_bayes_factor = independent * ratio.ln() - price(independent) * added as f64;
-        log_bayes_factor.is_finite().then_some(ModelExtension {
-            at_s: 0.0,
-            interval_s: [0.0; 2],
-            log_bayes_factor,
-            residual_squares,
-            variance: mean_square(residual_squares) * inflation,
-        })
+        let (log_bayes_factor, _) = self.compare(columns, weights, size)?;
+        Some(ModelExtension { at: 0.0, interval_s: [0.0; 2], log_bayes_factor })
     }
 
-    /// Also returns the parameters: the base, then `columns` for each set of weights.
-    fn residual_squares(&self, columns: &[usize], weights: &[Vec<f64>]) -> (f64, DVector<f64>) {
-        let width = self.base.len() + columns.len() * weights.len();
-        let mut sums = Triangle::zeros(width + 1);
-        let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);
-        for sample in 0..self.len() {
-            for (axis, row) in rows.iter_mut().enumerate() {
-                self.fill(row, sample, axis, columns, weights);
-            }
-            sums.add_squares([&rows[0], &rows[1], &rows[2]], self.robust_weights[sample]);
-        }
-        solve_sums(width, |i, j| sums.at(i, j))
-    }
-
-    /// Derivatives of one residual component, followed by the residual.
-    fn fill(
-        &self,
-        row: &mut [f64],
-        sample: usize,
-        axis: usize,
-        columns: &[usize],
-        weights: &[Vec<f64>],
-    ) {
-        let design_row = self.linear.row(sample, axis);
-        let (base, added) = row.split_at_mut(self.base.len());
-        base.iter_mut().zip(&self.base).for_each(|(value, &column)| *value = design_row[column]);
-        let by_weight = weights
-            .iter()
-            .flat_map(|weight| columns.iter().map(|&column| weight[sample] * design_row[column]));
-        let residual = self.linear.residual[0][sample][axis];
-        let all = by_weight.chain([residual]);
-        added.iter_mut().zip(all).for_each(|(value, derivative)| *value = derivative);
-    }
-
-    fn residual(
-        &self,
-        columns: &[usize],
-        weights: &[Vec<f64>],
-        parameters: &DVector<f64>,
-    ) -> Vec<[f64; 3]> {
-        let mut row = vec![0.0; parameters.len() + 1];
-        let mut one = |sample: usize, axis: usize| {
-            self.fill(&mut row, sample, axis, columns, weights);
-            let explained: f64 = row.iter().zip(parameters.iter()).map(|(a, b)| a * b).sum();
-            row[parameters.len()] - explained
+    /// Random walk of `column` with independent increments at `knots_s`, a time `step_s` apart. Estimates its
+    /// density, per √s.
+    pub fn walk(&self, column: usize, knots_s: &[f64], step_s: f64) -> Option<ModelExtension> {
+        /// Variances of an increment, relative to its noise.
+        const POWERS_OF_TWO: std::ops::RangeInclusive<i32> = -8..=24;
+        /// Every so many knots are free while the noise is estimated: the others must not absorb
+        /// autocorrelated noise.
+        const KNOTS_PER_FREE_KNOT: usize = 4;
+        let after = |knot_s: &f64| {
+            self.t_s.iter().map(|t_s| f64::from(u8::from(t_s > knot_s))).collect::<Vec<f64>>()
         };
-        (0..self.len()).map(|sample| [one(sample, 0), one(sample, 1), one(sample, 2)]).collect()
+        let weights: Vec<Vec<f64>> = knots_s.iter().map(after).collect();
+        let free: Vec<Vec<f64>> = weights.iter().step_by(KNOTS_PER_FREE_KNOT).cloned().collect();
+        let noise = self.noise_with(&[column], &free, &self.sums(&[column], &free))?;
+        let added = self.sums(&[column], &weights);
+        let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
+        let typical = noise.variance * weights.len() as f64 / added.own.trace();
+        let variances = POWERS_OF_TWO.map(|power| typical * 2f64.powi(power));
+        // The density is a parameter as well.
+        let price = price(noise.independent);
+        let evidence = |variance| Some((noise.evidence(&fit, &added, variance)? - price, variance));
+        let (log_bayes_factor, variance) =
+            variances.filter_map(evidence).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let density = (variance / step_s).sqrt();
+        Some(ModelExtension { at: density, interval_s: [0.0; 2], log_bayes_factor })
     }
-}
 
-/// Prefix sums of all products of derivatives and residual. They give the residual for any weight function
-/// without another pass over the data.
-struct PrefixSums<'a> {
-    tests: &'a ExtensionTests<'a>,
-    others: usize,
-    before: Vec<Triangle>,
-}
+    /// Twice the log Bayes factor, and the variance of independent noise.
+    fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
+        let added = self.sums(columns, weights);
+        let noise = self.noise_with(columns, weights, &added)?;
+        let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
+        let log_bayes_factor = noise.evidence(&fit, &added, size.powi(2))?;
+        log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
+    }
 
-impl<'a> PrefixSums<'a> {
-    fn new(tests: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
-        let width = tests.base.len() + columns.len();
-        let always = [vec![1.0; tests.len()]];
-        let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);
-        let mut sums = Triangle::zeros(width + 1);
+    /// Noise with additional columns, in the components of the residual that they change.
+    fn noise_with(
+        &self,
+        columns: &[usize],
+        weights: &[Vec<f64>],
+        added: &Added,
+    ) -> Option<IndependentNoise> {
+        let fit = self.fit.extend(added, 0.0)?;
+        let by_added = self.fit.cholesky.solve(&(&added.with_base * &fit.parameters));
+        let base = &self.fit.parameters - by_added;
+        Some(self.noise(&base, columns, weights, fit.parameters.as_slice()))
+    }
+
+    fn noise(
+        &self,
+        base: &DVector<f64>,
+        columns: &[usize],
+        weights: &[Vec<f64>],
+        added: &[f64],
+    ) -> IndependentNoise {
+        /// Share of the columns' squares in a component that they change.
+        const MIN_SHARE: f64 = 1e-3;
+        let one = |sample: usize, axis: usize| {
+            let row = self.linear.row(sample, axis);
+            let by_base = self.base.iter().zip(base.iter()).map(|(&at, value)| row[at] * value);
+            let by_added = weights
+                .iter()
+                .flat_map(|weight| columns.iter().map(move |&column| weight[sample] * row[column]));
+            let by_added = by_added.zip(added).map(|(derivative, value)| derivative * value);
+            self.linear.residual(sample, axis) - by_base.chain(by_added).sum::<f64>()
+        };
+        let samples = 0..self.t_s.len();
+        let squares = [0, 1, 2].map(|axis| -> f64 {
+            let of_sample =
+                |sample| columns.iter().map(move |&at| self.linear.row(sample, axis)[at].powi(2));
+            samples.clone().flat_map(of_sample).sum()
+        });
+        let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
+        let changed = |sample: usize| {
+            [0, 1, 2].map(|axis| if is_changed[axis] { one(sample, axis) } else { 0.0 })
+        };
+        let residual: Vec<[f64; 3]> = samples.map(changed).collect();
+        let components = is_changed.iter().filter(|changed| **changed).count() as f64;
+        let noise = Noise::estimate(&residual, &self.robust_weights, 0.0);
+        let inflation = noise.inflation().max(1.0);
+        let variance = (noise.sigma.powi(2) * 3.0 / components).max(self.model_error.powi(2));
+        let independent = components * self.t_s.len() as f64 / inflation;
+        IndependentNoise { variance: variance * inflation, independent }
+    }
+
+    fn sums(&self, columns: &[usize], weights: &[Vec<f64>]) -> Added {
+        let mut sums = Added::zeros(self.base.len(), columns.len() * weights.len());
+        for sample in 0..self.t_s.len() {
+            let factors = weights.iter().map(|weight| weight[sample]);
+            self.add_sample(&mut sums, sample, columns, factors);
+        }
+        sums
+    }
+
+    /// Sums over the samples before each one. They give the residual for any weight function without another
+    /// pass over the data.
+    fn prefix_sums(&self, columns: &[usize]) -> Vec<Added> {
+        let mut sums = Added::zeros(self.base.len(), columns.len());
         let mut before = vec![sums.clone()];
-        for sample in 0..tests.len() {
-            for (axis, row) in rows.iter_mut().enumerate() {
-                tests.fill(row, sample, axis, columns, &always);
-            }
-            sums.add_squares([&rows[0], &rows[1], &rows[2]], tests.robust_weights[sample]);
+        for sample in 0..self.t_s.len() {
+            self.add_sample(&mut sums, sample, columns, std::iter::once(1.0));
             before.push(sums.clone());
         }
-        Self { tests, others: columns.len(), before }
+        before
     }
 
-    fn residual_with_step(&self, from: usize) -> f64 {
-        let mut after = self.before[self.tests.len()].clone();
-        after.add_scaled(&self.before[from], -1.0);
-        self.residual_squares(&after, &after)
-    }
-
-    /// `course(t)` is approximated as constant over each piece.
-    fn residual_with_weight(&self, pieces: usize, weight_at: impl Fn(f64) -> f64) -> f64 {
-        let samples = self.tests.len();
-        let mut single = Triangle::zeros(self.tests.base.len() + self.others + 1);
-        let mut double = single.clone();
-        let pieces = pieces.min(samples);
-        for piece in 0..pieces {
-            let (from, to) = (piece * samples / pieces, (piece + 1) * samples / pieces);
-            let weight = weight_at(self.tests.t_s[(from + to) / 2]);
-            for (sums, by) in [(&mut single, weight), (&mut double, weight * weight)] {
-                sums.add_scaled(&self.before[to], by);
-                sums.add_scaled(&self.before[from], -by);
-            }
+    fn add_sample(
+        &self,
+        sums: &mut Added,
+        sample: usize,
+        columns: &[usize],
+        factors: impl Iterator<Item = f64> + Clone,
+    ) {
+        let weight = self.robust_weights[sample];
+        for axis in 0..3 {
+            let row = self.linear.row(sample, axis);
+            let base = DVector::from_iterator(self.base.len(), self.base.iter().map(|&at| row[at]));
+            let added = factors
+                .clone()
+                .flat_map(|factor| columns.iter().map(move |&column| factor * row[column]));
+            let added = DVector::from_vec(added.collect());
+            sums.with_base.ger(weight, &base, &added, 1.0);
+            sums.own.ger(weight, &added, &added, 1.0);
+            sums.with_residual.axpy(weight * self.linear.residual(sample, axis), &added, 1.0);
         }
-        self.residual_squares(&single, &double)
-    }
-
-    /// `once` holds products of base and additional parameters, `twice` those of two additional ones.
-    fn residual_squares(&self, single: &Triangle, double: &Triangle) -> f64 {
-        let base = self.tests.base.len();
-        let width = base + self.others;
-        let is_other = |i: usize| (base..width).contains(&i);
-        solve_sums(width, |i, j| match (is_other(i), is_other(j)) {
-            (false, false) => self.before[self.tests.len()].at(i, j),
-            (true, true) => double.at(i, j),
-            _ => single.at(i, j),
-        })
-        .0
     }
 }
 
-fn solve_sums(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
-    let normal = Normal {
-        matrix: DMatrix::from_fn(width, width, &sums),
-        right: DVector::from_fn(width, |i, _| sums(width, i)),
-        ..Normal::zeros(0)
-    };
-    let all: Vec<usize> = (0..width).collect();
-    let parameters = normal.step(&DVector::zeros(width), &all);
-    ((sums(width, width) - normal.right.dot(&parameters)).max(0.0), parameters)
+impl IndependentNoise {
+    /// Twice the log Bayes factor of additional parameters with this prior variance. Counts one parameter for the
+    /// time, time constant or axis that selected them.
+    fn evidence(&self, fit: &BaseFit, added: &Added, variance: f64) -> Option<f64> {
+        let precision = self.variance / variance;
+        let extended = fit.extend(added, precision)?;
+        let occam = extended.log_det - extended.parameters.len() as f64 * precision.ln();
+        Some(extended.gain / self.variance - occam - price(self.independent))
+    }
+}
+
+impl BaseFit {
+    fn new(normal: &Normal, precision: &[f64], variance: f64) -> Option<Self> {
+        let mut matrix = normal.matrix.clone();
+        for (at, precision) in precision.iter().enumerate() {
+            matrix[(at, at)] += variance * precision;
+        }
+        let cholesky = ridged(matrix).cholesky()?;
+        let parameters = cholesky.solve(&normal.right);
+        let squares = normal.cost - normal.right.dot(&parameters);
+        Some(Self { cholesky, parameters, squares })
+    }
+
+    /// Fit with additional columns, with a prior precision times the noise variance.
+    fn extend(&self, added: &Added, precision: f64) -> Option<AddedFit> {
+        let by_base = self.cholesky.solve(&added.with_base);
+        let mut own = &added.own - added.with_base.tr_mul(&by_base);
+        for at in 0..own.nrows() {
+            own[(at, at)] += precision;
+        }
+        let cholesky = ridged(own).cholesky()?;
+        let right = &added.with_residual - added.with_base.tr_mul(&self.parameters);
+        let parameters = cholesky.solve(&right);
+        let log_det = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
+        Some(AddedFit { gain: right.dot(&parameters), parameters, log_det })
+    }
 }
 
 fn best_candidate(

@@ -5,16 +5,17 @@
 //! with its first-order derivatives). Short windows determine latency and mount better; the joints' noise
 //! limits them.
 
-mod changes;
-
+use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
-use super::solve::{DesignNoise, Model, Solved, lengths, solve};
+use super::extension_tests::ExtensionTests;
+use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block,
     check_explained, mount_of, rms, rotated_noise,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::{LatencySample, fit_profile};
+use crate::priors::GYRO_SCALE_PRIOR;
 use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
@@ -26,14 +27,10 @@ use std::ops::RangeInclusive;
 const FLOOR_RAD_S: f64 = 1e-6;
 const MIN_WINDOW_S: f64 = 0.1;
 const MIN_WINDOW_PERIODS: f64 = 4.0;
-/// One of the bias and one of the mount.
-const MAX_CHANGES: usize = 2;
 const MAX_WINDOWS: usize = 2500;
 /// Neighbouring windows share the FK error at their common end with opposite signs. It dominates below this
 /// correlation of their residuals.
 const MAX_SHARED_END_CORRELATION: f64 = -0.2;
-const SCALE_ERROR_SIGNIFICANCE: f64 = 1e-4;
-const MIN_SCALE_ERROR: f64 = 1e-3;
 
 pub(super) struct GyroFit {
     pub clock: Clock,
@@ -73,9 +70,9 @@ impl Link<'_> {
             bias_rad_s: Vec3::zeros(),
             scale_error: Matrix3::zeros(),
             has_scale_error: false,
-            bias_profile: None,
-            changed_rad_s: Vec3::zeros(),
-            slip: None,
+            effects: Effects::new(GyroModel::WIDTH),
+            moves,
+            clock: Clock::not_observable(&NotObservable::AtRest),
         };
         if model.windows.len() < MIN_FIT_SAMPLES {
             return Err(NotObservable::TooFewSamples {
@@ -83,13 +80,7 @@ impl Link<'_> {
                 need: MIN_FIT_SAMPLES,
             });
         }
-        let mut free: Vec<usize> = GyroModel::BIAS.collect();
-        let mut clock = Clock::not_observable(&NotObservable::AtRest);
-        if moves {
-            free.extend(GyroModel::MOUNT);
-            clock = model.fit_delay(&free);
-        }
-        let mut solved = solve(&mut model, &free);
+        model.fit();
         while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;
             let windows = self.windows(window_s, &model.delay);
@@ -97,42 +88,25 @@ impl Link<'_> {
                 break;
             }
             model.windows = windows;
-            solved = solve(&mut model, &free);
+            model.fit();
         }
-        for _ in 0..MAX_CHANGES {
-            let Some(with_change) = model.with_best_change(moves) else { break };
-            model = with_change;
-            free.extend(
-                model
-                    .change_parameters()
-                    .filter(|column| !free.contains(column))
-                    .collect::<Vec<_>>(),
-            );
-            if moves {
-                clock = model.fit_delay(&free);
-            }
-            solved = solve(&mut model, &free);
+        let effects =
+            [(Block::Bias, Shape::Step), (Block::Bias, Shape::Decay), (Block::Mount, Shape::Step)];
+        let effects = if moves { &effects[..] } else { &effects[..2] };
+        let (mut model, mut solved) = add_likeliest_effects(model, effects, GyroModel::fit);
+        if moves && model.is_scale_error_likelier() {
+            model.has_scale_error = true;
+            solved = model.fit();
         }
-        let mut scale_error = None;
-        if moves {
-            let mut with_scale_error = GyroModel { has_scale_error: true, ..model.clone() };
-            let all: Vec<usize> = free.iter().copied().chain(GyroModel::SCALE_ERROR).collect();
-            let with_shape = solve(&mut with_scale_error, &all);
-            if with_scale_error.has_significant_scale_error(&with_shape) {
-                // A neglected shape biases the skew, so the delay is fitted again.
-                clock = with_scale_error.fit_delay(&all);
-                solved = solve(&mut with_scale_error, &all);
-                model = with_scale_error;
-                scale_error = model.estimate_scale_error(&solved);
-            }
-        }
+        let scale_error = model.has_scale_error.then(|| model.estimate_scale_error(&solved));
         if self.rotation_rms_rad(&model.delay) > MIN_ROTATION_RAD {
-            check_explained(model.mean_rate_rad_s(), rms(lengths(&model.linearize())))?;
+            let residual = rms(solved.residuals.iter().map(Vec3::norm));
+            check_explained(model.mean_rate_rad_s(), residual)?;
         }
         Ok(GyroFit {
-            clock,
+            clock: model.clock.clone(),
             delay: model.delay,
-            bias: model.bias(&solved, scale_error),
+            bias: model.bias(&solved, scale_error.flatten()),
             latency_profile: match moves {
                 true => fit_profile(
                     &model.latency_samples(),
@@ -144,7 +118,7 @@ impl Link<'_> {
             },
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
-            mount_change: model.mount_change(&solved),
+            mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
             solved,
         })
     }
@@ -205,11 +179,9 @@ struct GyroModel<'a> {
     /// Symmetric; an antisymmetric part would be a rotation and belongs to the mount.
     scale_error: Matrix3<f64>,
     has_scale_error: bool,
-    bias_profile: Option<GyroBiasProfile>,
-    /// Bias change after a step, or at the start of a decay.
-    changed_rad_s: Vec3,
-    /// Time, 95 % interval, and rotation: `link_from_imu after = link_from_imu · slip`.
-    slip: Option<(f64, [f64; 2], Rotation)>,
+    effects: Effects,
+    moves: bool,
+    clock: Clock,
 }
 
 struct IntegratedRotation {
@@ -223,16 +195,22 @@ struct IntegratedRotation {
     duration_s: f64,
 }
 
-impl<'a> GyroModel<'a> {
+impl GyroModel<'_> {
     const LATENCY: usize = 0;
     const MOUNT: std::ops::Range<usize> = 1..4;
     const BIAS: std::ops::Range<usize> = 4..7;
     const SCALE_ERROR: std::ops::Range<usize> = 7..13;
     const SKEW: usize = 13;
-    const CHANGE: std::ops::Range<usize> = 14..17;
-    const SLIP: std::ops::Range<usize> = 17..20;
-    const WIDTH: usize = 20;
+    const WIDTH: usize = 14;
     const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+
+    fn bias_at(&self, t_s: f64) -> Vec3 {
+        self.bias_rad_s + self.effects.sum(Block::Bias, t_s, &Rotation::identity())
+    }
+
+    fn mount_at(&self, t_s: f64) -> Rotation {
+        self.effects.mount_at(&self.link_from_imu, t_s)
+    }
 
     /// Residual rates in the link frame and angular acceleration by FK.
     fn latency_samples(&self) -> Vec<LatencySample> {
@@ -289,8 +267,8 @@ impl<'a> GyroModel<'a> {
             integrated.first_from_last *= step;
             integrated.by_rate =
                 to_end * integrated.by_rate + middle_to_end.matrix() * unscale * dt;
-            let entries = Self::SCALE_ENTRIES.into_iter().filter(|_| self.has_scale_error);
-            for (sum, (row, column)) in integrated.by_scale_error.iter_mut().zip(entries) {
+            let sums = integrated.by_scale_error.iter_mut();
+            for (sum, (row, column)) in sums.zip(Self::SCALE_ENTRIES) {
                 let mut unit = Matrix3::zeros();
                 unit[(row, column)] = 1.0;
                 unit[(column, row)] = 1.0;
@@ -300,10 +278,16 @@ impl<'a> GyroModel<'a> {
         integrated
     }
 
-    /// Fits the delay jointly with `others`. Includes a skew if it is significant.
-    fn fit_delay(&mut self, others: &[usize]) -> Clock {
-        let mut free = others.to_vec();
-        free.extend([Self::LATENCY, Self::SKEW]);
+    /// Fits all free parameters. Includes a skew if it is significant.
+    fn fit(&mut self) -> Solved {
+        let mut free: Vec<usize> = Self::BIAS.chain(self.effects.columns()).collect();
+        if self.has_scale_error {
+            free.extend(Self::SCALE_ERROR);
+        }
+        if !self.moves {
+            return solve(self, &free);
+        }
+        free.extend(Self::MOUNT.chain([Self::LATENCY, Self::SKEW]));
         let mut solved = solve(self, &free);
         let skew = solved.measure(Self::SKEW, self.delay.skew);
         if !solved.is_significant(&[Self::SKEW], &[self.delay.skew], SKEW_SIGNIFICANCE) {
@@ -311,7 +295,9 @@ impl<'a> GyroModel<'a> {
             free.retain(|&parameter| parameter != Self::SKEW);
             solved = solve(self, &free);
         }
-        Clock { latency_s: solved.measure(Self::LATENCY, self.delay.latency_s), skew }
+        let latency_s = solved.measure(Self::LATENCY, self.delay.latency_s);
+        self.clock = Clock { latency_s, skew };
+        solved
     }
 
     /// Rms over the windows, by FK.
@@ -328,7 +314,7 @@ impl<'a> GyroModel<'a> {
     }
 
     fn is_dominated_by_shared_ends(&self) -> bool {
-        let linear = self.linearize();
+        let linear = self.linearize().linear;
         let residual = &linear.residual[0];
         let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let square: f64 = residual.iter().map(|r| dot(r, r)).sum();
@@ -336,21 +322,24 @@ impl<'a> GyroModel<'a> {
         neighbour_product < MAX_SHARED_END_CORRELATION * square
     }
 
-    fn scale_error_entries(&self) -> [f64; 6] {
-        Self::SCALE_ENTRIES.map(|at| self.scale_error[at])
-    }
-
-    fn has_significant_scale_error(&self, solved: &Solved) -> bool {
-        let entries = self.scale_error_entries();
-        let all: Vec<usize> = Self::SCALE_ERROR.collect();
-        entries.iter().any(|entry| entry.abs() > MIN_SCALE_ERROR)
-            && solved.is_significant(&all, &entries, SCALE_ERROR_SIGNIFICANCE)
+    fn is_scale_error_likelier(&self) -> bool {
+        let Linearization { linear, t_s, .. } = self.linearize();
+        let tested_with = Self::BIAS.chain(Self::MOUNT).chain([Self::LATENCY, Self::SKEW]);
+        let base: Vec<(usize, f64)> =
+            tested_with.chain(self.effects.columns()).map(|column| (column, 0.0)).collect();
+        let tests = ExtensionTests::new(&linear, &t_s, &base, Self::MODEL_ERROR);
+        let columns: Vec<usize> = Self::SCALE_ERROR.collect();
+        tests
+            .and_then(|tests| {
+                tests.best_extension(&columns, &[vec![1.0; t_s.len()]], GYRO_SCALE_PRIOR)
+            })
+            .is_some_and(|test| test.log_bayes_factor > 0.0)
     }
 
     fn estimate_scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
         let entries: Vec<Measured> = Self::SCALE_ERROR
-            .zip(self.scale_error_entries())
-            .map(|(parameter, value)| solved.measure(parameter, value))
+            .zip(Self::SCALE_ENTRIES)
+            .map(|(parameter, at)| solved.measure(parameter, self.scale_error[at]))
             .collect::<EstimateResult<_>>()
             .ok()?;
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
@@ -363,30 +352,30 @@ impl<'a> GyroModel<'a> {
         scale_error: Option<GyroScaleError>,
     ) -> EstimateResult<GyroBias> {
         let bias: Vec<usize> = Self::BIAS.collect();
-        let change: Option<EstimateResult<GyroBiasChange>> = self.bias_profile.map(|profile| {
-            let total_rad_s = self.bias_rad_s + self.changed_rad_s;
-            let (before_rad_s, after_rad_s) = match profile {
-                GyroBiasProfile::Step { .. } => (self.bias_rad_s, total_rad_s),
-                GyroBiasProfile::WarmUp { .. } => (total_rad_s, self.bias_rad_s),
+        let mut vector_rad_s = self.bias_rad_s;
+        let mut length_rad_s = solved.length(&bias, vector_rad_s.as_slice())?;
+        let mut change = None;
+        if let Some(effect) = self.effects.of(Block::Bias).next() {
+            let changed_rad_s = self.bias_rad_s + Vec3::from_column_slice(&effect.values);
+            let (profile, [before_rad_s, after_rad_s]) = match effect.profile {
+                Profile::Decay { time_constant_s, .. } => {
+                    (GyroBiasProfile::WarmUp { time_constant_s }, [changed_rad_s, self.bias_rad_s])
+                }
+                other => {
+                    let (at_s, interval_s) = other.change_s().unwrap_or_default();
+                    let both = [self.bias_rad_s, changed_rad_s];
+                    (GyroBiasProfile::Step { at_s, interval_s }, both)
+                }
             };
-            let columns: Vec<usize> = Self::CHANGE.collect();
-            let size_rad_s = solved.length(&columns, self.changed_rad_s.as_slice())?;
-            Ok(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s })
-        });
-        let change = change.transpose()?;
-        // The larger of the two biases.
-        let constant = solved.length(&bias, self.bias_rad_s.as_slice())?;
-        let changed_bias_rad_s = self.bias_rad_s + self.changed_rad_s;
-        let (vector_rad_s, length_rad_s) = match change {
-            Some(_) if changed_bias_rad_s.norm() > self.bias_rad_s.norm() => {
-                let columns: Vec<usize> = Self::CHANGE.collect();
-                (
-                    changed_bias_rad_s,
-                    solved.length_of_sum(&bias, &columns, changed_bias_rad_s.as_slice())?,
-                )
+            let columns: Vec<usize> = effect.columns.clone().collect();
+            let size_rad_s = solved.length(&columns, &effect.values)?;
+            change = Some(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s });
+            // The larger of the two biases.
+            if changed_rad_s.norm() > self.bias_rad_s.norm() {
+                vector_rad_s = changed_rad_s;
+                length_rad_s = solved.length_of_sum(&bias, &columns, vector_rad_s.as_slice())?;
             }
-            _ => (self.bias_rad_s, constant),
-        };
+        }
         let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
         Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, scale_error, change })
     }
@@ -416,8 +405,65 @@ impl<'a> GyroModel<'a> {
 }
 
 impl Model for GyroModel<'_> {
-    fn linearize(&self) -> Linear {
-        self.linearized().0
+    const MODEL_ERROR: f64 = FLOOR_RAD_S;
+
+    /// Mean rates over the windows, in the sensor's frame at their ends.
+    fn linearize(&self) -> Linearization {
+        let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD_S]);
+        let mut stamps = Vec::new();
+        let mut buffers = self.link.buffers();
+        let t_s = &self.link.stream.track.t_s;
+        let slip_s = self.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
+        for window in &self.windows {
+            let mut link_state = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut buffers);
+            let (Some(first), Some(last)) =
+                (link_state(*window.start()), link_state(*window.end()))
+            else {
+                continue;
+            };
+            let integrated = self.integrate(window);
+            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
+            if slip_s.is_some_and(|(at_s, _)| from_s <= at_s && at_s < to_s) {
+                continue;
+            }
+            stamps.push(0.5 * (from_s + to_s));
+            let mount = self.mount_at(to_s);
+            let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
+            let last_from_first = by_fk.inverse();
+            let per_s = 1.0 / integrated.duration_s;
+            let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
+            let mut rows = linear.push(&[(residual * per_s).into()]);
+            if first.moving || last.moving {
+                // FK rates share the joints' noise with the residual.
+                let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
+                let later = -rate_difference * per_s;
+                rows.set(0, Self::LATENCY, later.into());
+                rows.set(0, Self::SKEW, (later * (to_s - self.delay.middle_s)).into());
+            }
+            let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
+            let by_bias = |axis: usize| -> Vec3 { integrated.by_rate.column(axis) * per_s };
+            // The mount is applied before the slip.
+            let before_slip = mount.inverse() * self.link_from_imu;
+            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
+            for (axis, unit) in units.iter().enumerate() {
+                rows.set(0, Self::MOUNT.start + axis, turned(before_slip * unit).into());
+                rows.set(0, Self::BIAS.start + axis, by_bias(axis).into());
+            }
+            for (column, by_entry) in Self::SCALE_ERROR.zip(&integrated.by_scale_error) {
+                rows.set(0, column, (by_entry * per_s).into());
+            }
+            let middle_s = 0.5 * (from_s + to_s);
+            self.effects.set_rows(
+                &mut rows,
+                middle_s,
+                &Rotation::identity(),
+                |block| match block {
+                    Block::Mount => units.map(turned).to_vec(),
+                    _ => (0..3).map(by_bias).collect(),
+                },
+            );
+        }
+        Linearization { linear, t_s: stamps, world_from_imu: Vec::new() }
     }
 
     /// FK noise in the columns of the mount, gyro noise in all others.
@@ -427,7 +473,9 @@ impl Model for GyroModel<'_> {
             sample_noise(&track.gyro.iter().map(|gyro| gyro[axis]).collect::<Vec<f64>>()).powi(2)
         };
         let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
-        let mut squares = DMatrix::zeros(Self::WIDTH, Self::WIDTH);
+        let width = self.effects.width();
+        let mut squares = DMatrix::zeros(width, width);
+        let slip = self.effects.of(Block::Mount).next();
         let mut buffers = self.link.buffers();
         for window in &self.windows {
             let [from_s, to_s] = [*window.start(), *window.end()].map(|k| track.t_s[k]);
@@ -441,8 +489,9 @@ impl Model for GyroModel<'_> {
             let in_imu = base_from_imu.matrix().tr_mul(&(in_base * base_from_imu.matrix()));
             let rotation_noise = rotated_noise(&in_imu);
             add_block(&mut squares, Self::MOUNT.start, &rotation_noise);
-            if self.slip.is_some_and(|(at_s, ..)| from_s > at_s) {
-                add_block(&mut squares, Self::SLIP.start, &rotation_noise);
+            if let Some(slip) = slip {
+                let weight = slip.profile.weights(from_s, &Rotation::identity())[0];
+                add_block(&mut squares, slip.columns.start, &(rotation_noise * weight));
             }
             if first.moving || last.moving {
                 let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
@@ -454,13 +503,9 @@ impl Model for GyroModel<'_> {
                 squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
             }
         }
-        let groups = vec![
-            Self::SCALE_ERROR.collect(),
-            vec![Self::SKEW],
-            vec![Self::LATENCY],
-            Self::SLIP.collect(),
-            Self::MOUNT.collect(),
-        ];
+        let slip = slip.map(|slip| slip.columns.clone().collect());
+        let first = [Self::SCALE_ERROR.collect(), vec![Self::SKEW], vec![Self::LATENCY]];
+        let groups = first.into_iter().chain(slip).chain([Self::MOUNT.collect()]).collect();
         DesignNoise { squares, groups }
     }
 
@@ -470,10 +515,7 @@ impl Model for GyroModel<'_> {
         self.delay.skew += delta[Self::SKEW];
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
         self.bias_rad_s += part(Self::BIAS.start);
-        self.changed_rad_s += part(Self::CHANGE.start);
-        if let Some((.., slip)) = &mut self.slip {
-            *slip *= rotation_from_rotvec(part(Self::SLIP.start));
-        }
+        self.effects.apply(delta.as_slice());
         for (parameter, (row, column)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
             self.scale_error[(row, column)] += delta[parameter];
             if row != column {
@@ -481,63 +523,32 @@ impl Model for GyroModel<'_> {
             }
         }
     }
-}
 
-impl GyroModel<'_> {
-    /// Residuals with their times: mean rates over the windows, in the sensor's frame at their ends.
-    fn linearized(&self) -> (Linear, Vec<f64>) {
-        let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
-        let mut stamps = Vec::new();
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
-        for window in &self.windows {
-            let mut link_state = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut buffers);
-            let (Some(first), Some(last)) =
-                (link_state(*window.start()), link_state(*window.end()))
-            else {
-                continue;
-            };
-            let integrated = self.integrate(window);
-            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
-            let is_after_slip = self.slip.map(|(at_s, ..)| [from_s > at_s, to_s > at_s]);
-            if is_after_slip.is_some_and(|[before, after]| before != after) {
-                continue;
-            }
-            let is_after_slip = is_after_slip.is_some_and(|[_, after]| after);
-            stamps.push(0.5 * (from_s + to_s));
-            let mount = self.mount_at(to_s);
-            let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
-            let last_from_first = by_fk.inverse();
-            let per_s = 1.0 / integrated.duration_s;
-            let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
-            let mut rows = linear.push(&[(residual * per_s).into()]);
-            if first.moving || last.moving {
-                // FK rates share the joints' noise with the residual.
-                let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
-                let later = -rate_difference * per_s;
-                let since_s = t_s[*window.end()] - self.delay.middle_s;
-                rows.set(0, Self::LATENCY, later.into());
-                rows.set(0, Self::SKEW, (later * since_s).into());
-            }
-            for axis in 0..3 {
-                let unit = Vec3::ith(axis, 1.0);
-                let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
-                let slip =
-                    self.slip.filter(|_| is_after_slip).map_or(Rotation::identity(), |slip| slip.2);
-                // The mount is applied before the slip.
-                rows.set(0, Self::MOUNT.start + axis, turned(slip.inverse() * unit).into());
-                let by_bias: Vec3 = integrated.by_rate.column(axis) * per_s;
-                rows.set(0, Self::BIAS.start + axis, by_bias.into());
-                let share = 0.5 * (self.change_at(from_s) + self.change_at(to_s));
-                rows.set(0, Self::CHANGE.start + axis, (by_bias * share).into());
-                if is_after_slip {
-                    rows.set(0, Self::SLIP.start + axis, turned(unit).into());
-                }
-            }
-            for (column, by_entry) in Self::SCALE_ERROR.zip(&integrated.by_scale_error) {
-                rows.set(0, column, (by_entry * per_s).into());
-            }
+    fn effects(&self) -> &Effects {
+        &self.effects
+    }
+
+    fn effects_mut(&mut self) -> &mut Effects {
+        &mut self.effects
+    }
+
+    fn columns_of(&self, block: Block) -> Vec<usize> {
+        match block {
+            Block::Mount => Self::MOUNT.collect(),
+            _ => Self::BIAS.collect(),
         }
-        (linear, stamps)
+    }
+
+    /// With the scale error, which a change may imitate.
+    fn tested_with(&self) -> Vec<usize> {
+        let constant: Vec<usize> = match self.moves {
+            true => (0..Self::WIDTH).filter(|column| *column != Self::SKEW).collect(),
+            false => Self::BIAS.collect(),
+        };
+        constant.into_iter().chain(self.effects.columns()).collect()
+    }
+
+    fn priors(&self) -> Vec<Prior> {
+        self.effects.priors()
     }
 }

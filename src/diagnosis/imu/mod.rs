@@ -7,6 +7,7 @@
 //! offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and 0.9° of mount error.
 
 mod conventions;
+mod effects;
 mod estimates;
 mod extension_tests;
 mod gyro;
@@ -16,7 +17,6 @@ mod solve;
 #[cfg(test)]
 mod tests;
 mod tilt;
-mod yaw;
 
 use crate::encodings::reinterpret::decode_rotations;
 use crate::frames::rotation_frames::mean_rotation;
@@ -77,83 +77,69 @@ pub(super) fn diagnose_converted_imu(
         link.fit_orientation(start, moves)
     };
     // If the orientation does not follow the arm, a match of the gyro is coincidence.
-    let clock = match (&orientation, &gyro) {
+    let timing = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
-            Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
+            let clock = Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() };
+            Ok((clock, fit.latency_profile.clone()))
         }
-        (Ok(fit), _) => fit.clock.clone(),
-        (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
-        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::not_observable(why),
-    };
-    let latency_profile = match (&orientation, &gyro) {
-        (Ok(fit), _) => fit.latency_profile.clone(),
-        (Err(NotObservable::NoOrientation), Ok(fit)) => fit.latency_profile.clone(),
+        (Ok(fit), _) => Ok((fit.clock.clone(), fit.latency_profile.clone())),
+        (Err(NotObservable::NoOrientation), Ok(gyro)) => {
+            Ok((gyro.clock.clone(), gyro.latency_profile.clone()))
+        }
         (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
     };
-    let latency_profile = match ambiguous_lags(&peaks) {
-        Some(lags) => Err(NotObservable::Periodic(lags)),
-        None => latency_profile,
+    let timing = ambiguous_lags(&peaks).map_or(timing, |lags| Err(NotObservable::Periodic(lags)));
+    let (Clock { latency_s, skew }, latency_profile) = match timing {
+        Ok((clock, profile)) => (clock.aligned_to(stream), profile),
+        Err(why) => (Clock::not_observable(&why), Err(why)),
     };
-    let Clock { latency_s, skew } = match ambiguous_lags(&peaks) {
-        Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
-        None => clock.aligned_to(stream),
-    };
-    let link_from_gyro = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
-    let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
-    let mount_change = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
-    let gyro_axes_rotation = match (&orientation, &gyro) {
+    let axes_rotation = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if moves => gyro_axes_rotation(&link, lag_s, &fit.link_from_imu, gyro),
         _ => None,
     };
-    let gyro_bias = gyro.and_then(|fit| fit.bias);
-    let rotated_accel = gyro_axes_rotation.filter(|rotation| rotation.with_accel).map(|rotation| {
+    let rotated_accel = axes_rotation.filter(|rotation| rotation.with_accel).map(|rotation| {
         let accel = stream.track.accel.iter().map(|accel| rotation.imu_from_gyro * accel).collect();
         ImuTrack { accel, ..stream.track.clone() }
     });
     let accel_stream =
         ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
     let link = Link::new(joints, &accel_stream, numbers);
-    let tilt_rad = link.tilt(lag_s);
-    match orientation {
-        Ok(fit) => ImuDiagnosis {
+    let common = ImuDiagnosis {
+        latency_s,
+        latency_profile,
+        skew,
+        conventions: numbers.clone(),
+        tilt_rad: link.tilt(lag_s),
+        gyro_bias: gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.bias.clone()),
+        ..ImuDiagnosis::not_observable(orientation.as_ref().err().unwrap_or(&NotObservable::AtRest))
+    };
+    match (orientation, gyro) {
+        (Ok(fit), _) => ImuDiagnosis {
             encoding: Ok(fit.encoding),
-            latency_s,
-            latency_profile,
-            skew,
             yaw_drift_rad_s: fit.drift_rad_s,
             yaw_profile: fit.yaw_profile,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
-            axes_rotation: gyro_axes_rotation,
+            axes_rotation,
             mount_change: fit.mount_change,
-            conventions: numbers.clone(),
-            tilt_rad,
             up: link.up(lag_s, &fit.link_from_imu),
-            gyro_bias,
             yaw_error: fit.yaw_error,
             headings: fit.headings,
+            ..common
         },
-        Err(why) => ImuDiagnosis {
-            encoding: Err(why.clone()),
-            latency_s,
-            latency_profile,
-            skew,
-            yaw_drift_rad_s: Err(why.clone()),
-            yaw_profile: YawProfile::default(),
+        (Err(why), Ok(gyro)) => ImuDiagnosis {
             mount_rad: match why {
-                NotObservable::NoOrientation => mount_by_gyro,
+                NotObservable::NoOrientation => gyro.mount_rad,
                 _ => Err(why),
             },
-            link_from_imu: link_from_gyro,
-            axes_rotation: None,
-            mount_change,
-            conventions: numbers.clone(),
-            tilt_rad,
-            up: None,
-            gyro_bias,
-            yaw_error: Vec::new(),
-            headings: Vec::new(),
+            link_from_imu: Some(gyro.link_from_imu).filter(|_| moves),
+            mount_change: gyro.mount_change.filter(|_| moves),
+            ..common
         },
+        (Err(NotObservable::NoOrientation), Err(why)) => {
+            ImuDiagnosis { mount_rad: Err(why), ..common }
+        }
+        (Err(_), Err(_)) => common,
     }
 }
 

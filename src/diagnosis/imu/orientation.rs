@@ -1,12 +1,11 @@
 //! Fits the orientation to FK: `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) ·
-//! link_from_imu`, with `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`, the [`yaw_terms`], and at
-//! most one change of the mount.
+//! link_from_imu`, with `yaw(s) = drift·(s − middle)` and the [`effects`](super::effects) on yaw and mount.
+//! The links deviate from the model by random rotations with the prior of a calibrated arm; otherwise their
+//! error, which depends on the posture, looks like a jump, a walk or a drift of the yaw.
 
-mod yaw_terms;
-
-use super::estimates::ImuMountChange;
-use super::solve::{DesignNoise, Model, Solved, lengths, solve};
-use super::yaw::{self, YawDecomposition};
+use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
+use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
+use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
     add_block, check_explained, mount_of, rms, rotated_noise,
@@ -18,26 +17,30 @@ use crate::encodings::rotation::{
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::{LatencySample, fit_profile};
 use crate::model::measurement::FLOOR_RAD;
-use crate::model::measurement::MAX_EXPLAINED_RAD;
+use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
 use crate::solver::linear::Linear;
 use crate::{
     EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
-    YawProfile,
+    YawJump, YawProfile,
 };
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, DVector, Matrix3};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::ops::Range;
-use yaw_terms::YawTerm;
 
 const WHOLE_RUN_S: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 /// To test encodings.
 const ENCODING_SAMPLES: usize = 72;
-/// Refits with an updated yaw model.
-const MAX_PASSES: usize = 4;
-/// Until the mount is corrected, an unmodelled jump looks like a walk.
-const PASSES_WITHOUT_WALK: usize = 2;
+/// What may vary over the run.
+const EFFECTS: [(Block, Shape); 6] = [
+    (Block::Yaw, Shape::Step),
+    (Block::Yaw, Shape::Heading),
+    (Block::Yaw, Shape::Decay),
+    (Block::Yaw, Shape::Walk),
+    (Block::World, Shape::Step),
+    (Block::Mount, Shape::Step),
+];
 
 pub(super) struct OrientationFit {
     pub encoding: EncodingEstimate,
@@ -58,78 +61,45 @@ impl Link<'_> {
         start: Delay,
         moves: bool,
     ) -> EstimateResult<OrientationFit> {
-        let (mut encoding, mut model) = self.orientation_model(start)?;
-        let mut solution = model.fit(moves);
-        if let Some(with_slip) = solution.model.with_mount_slip(moves) {
-            let (from_s, to_s) = with_slip.longer_side();
+        let (mut encoding, model) = self.orientation_model(start)?;
+        let (model, solved) = add_likeliest_effects(model, &EFFECTS, |model| model.fit(moves));
+        if let Some((from_s, to_s)) = model.longer_side() {
             // A slip makes every encoding fit badly: determine it again on one side.
             encoding = self
-                .estimate_encoding_near(&with_slip.delay, self.known_mount(), from_s..to_s)
+                .estimate_encoding_near(&model.delay, self.known_mount(), from_s..to_s)
                 .map_or(encoding, |estimated| estimated.0);
-            model = with_slip;
-            solution = model.fit(moves);
         }
-        if let Some((with_term, its_solution)) = solution.model.with_yaw_term(moves) {
-            (model, solution) = (with_term, its_solution);
-        }
-        let mut yaw = YawDecomposition::default();
-        for pass in 0..MAX_PASSES {
-            let previous = std::mem::replace(
-                &mut yaw,
-                yaw::decompose_yaw(&solution.model.yaw_without_terms()),
-            );
-            if yaw.is_steady() && previous.is_steady() {
-                break;
-            }
-            if pass < PASSES_WITHOUT_WALK && !yaw.parts.jumps.is_empty() {
-                yaw = yaw.without_walk();
-            }
-            model.add_profile(&yaw);
-            solution = model.fit(moves);
-        }
-        let OrientationSolution { model, solved, mount_rad, skew } = solution;
         let rotation_rms_rad = self.rotation_rms_rad(&model.delay);
         if rotation_rms_rad > MIN_ROTATION_RAD {
-            check_explained(rotation_rms_rad, rms(lengths(&model.linearize())))?;
+            check_explained(rotation_rms_rad, rms(solved.residuals.iter().map(Vec3::norm)))?;
         }
         let clock = match moves {
             true => {
                 let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);
-                Clock { latency_s, skew }
+                Clock { latency_s, skew: model.skew.clone() }
             }
             false => Clock::not_observable(&NotObservable::AtRest),
         };
-        // Only the bins account for the random drift of a walk.
-        let has_walk = yaw.parts.walk_rad_per_sqrt_s.is_some();
-        let drift_rad_s = match yaw.drift_rad_s.filter(|_| has_walk) {
-            Some(drift_rad_s) => Ok(drift_rad_s),
-            None => solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
-        };
-        if !has_walk {
-            for (jump, (column, fitted)) in yaw.parts.jumps.iter_mut().zip(model.jumps()) {
-                jump.size_rad = solved.measure(column, fitted.size_rad).unwrap_or(jump.size_rad);
-            }
-        }
-        (yaw.parts.heading, yaw.parts.warm_up) = model.term_estimates(&solved);
+        let (yaw_error, headings) = model.yaw_error();
         Ok(OrientationFit {
             encoding,
             clock,
-            drift_rad_s,
-            yaw_profile: yaw.parts,
+            drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
+            yaw_profile: model.yaw_profile(&solved),
             latency_profile: match moves {
                 true => fit_profile(
-                    &model.latency_samples(),
+                    &model.latency_samples(&solved),
                     1,
                     model.delay.skew,
                     self.stream.removed_ramp,
                 ),
                 false => Err(NotObservable::AtRest),
             },
-            mount_rad,
             link_from_imu: model.link_from_imu,
             mount_change: model.mount_change(&solved),
-            yaw_error: model.yaw_error(),
-            headings: model.headings(),
+            yaw_error,
+            headings,
+            mount_rad: model.mount_rad,
         })
     }
 
@@ -156,12 +126,11 @@ impl Link<'_> {
             link: self,
             rows: Vec::new(),
             truth: Vec::new(),
-            jumps: Vec::new(),
-            path_rad: Vec::new(),
-            terms: Vec::new(),
-            slip: None,
+            effects: Effects::new(OrientationModel::LINKS_START + 3 * self.inner_links()),
             delay: start,
             drift_rad_s: 0.0,
+            mount_rad: Err(NotObservable::NoFrame),
+            skew: Err(NotObservable::AtRest),
             world_from_base: fit.reference,
             link_from_imu: known_mount.unwrap_or_default() * fit.tool,
         };
@@ -193,6 +162,14 @@ impl Link<'_> {
 
     fn known_mount(&self) -> Option<Rotation> {
         self.stream.link_from_imu.map(|pose| pose.rotation)
+    }
+
+    /// Number of links between the first and the last joint.
+    fn inner_links(&self) -> usize {
+        match self.stream.chain.is_floating() {
+            true => 0,
+            false => self.stream.columns.len().saturating_sub(1),
+        }
     }
 
     fn estimate_encoding_near(
@@ -236,123 +213,130 @@ struct OrientationModel<'a> {
     link: &'a Link<'a>,
     rows: Vec<usize>,
     truth: Vec<Rotation>,
-    jumps: Vec<Jump>,
-    /// Yaw per row; empty if there is no walk.
-    path_rad: Vec<f64>,
-    terms: Vec<YawTerm>,
-    /// Time, 95 % interval, and rotation: `link_from_imu after = link_from_imu · slip`.
-    slip: Option<(f64, [f64; 2], Rotation)>,
+    effects: Effects,
     delay: Delay,
     drift_rad_s: f64,
     world_from_base: Rotation,
     link_from_imu: Rotation,
-}
-
-#[derive(Clone, Copy)]
-struct Jump {
-    at_s: f64,
-    size_rad: f64,
-}
-
-struct OrientationSolution<'a> {
-    model: OrientationModel<'a>,
-    solved: Solved,
+    /// Error of the logged mount before it is fixed, and skew before it is omitted.
     mount_rad: EstimateResult<MeasuredLength>,
     skew: EstimateResult<Measured>,
 }
 
-impl<'a> OrientationModel<'a> {
+impl OrientationModel<'_> {
     const LATENCY: usize = 0;
     const DRIFT: usize = 1;
     const WORLD: Range<usize> = 2..5;
     const MOUNT: Range<usize> = 5..8;
     const SKEW: usize = 8;
-    const SLIP: Range<usize> = 9..12;
-    /// Columns of the terms, then of the jumps.
-    const TERM_COLUMNS_START: usize = 12;
+    const LINKS_START: usize = 9;
 
     /// Refits with the logged mount and without skew if the free values do not differ significantly.
-    fn fit(&self, moves: bool) -> OrientationSolution<'a> {
+    fn fit(&mut self, moves: bool) -> Solved {
         let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
         if moves {
-            free.push(Self::LATENCY);
+            free.extend([Self::LATENCY, Self::SKEW]);
         }
-        // A walk simulates a skew: use the gyro's skew, and let the bins estimate the jumps.
-        let has_walk = !self.path_rad.is_empty();
-        if moves && !has_walk {
-            free.push(Self::SKEW);
-        }
-        if !has_walk {
-            free.extend(self.jumps().map(|(column, _)| column));
-        }
-        free.extend(Self::TERM_COLUMNS_START..self.first_jump());
-        if self.slip.is_some() {
-            free.extend(Self::SLIP);
-        }
+        free.extend(self.effects.columns());
         let all = free.len();
-        let mut model = self.clone();
-        let mut solved = solve(&mut model, &free);
-        let mount_rad = model.mount(&solved);
-        let skew = solved.measure(Self::SKEW, model.delay.skew);
-        if !has_walk
-            && !solved.is_significant(&[Self::SKEW], &[model.delay.skew], SKEW_SIGNIFICANCE)
-        {
-            model.delay.skew = 0.0;
+        let mut solved = solve(self, &free);
+        self.mount_rad = self.mount(&solved);
+        self.skew = solved.measure(Self::SKEW, self.delay.skew);
+        if !solved.is_significant(&[Self::SKEW], &[self.delay.skew], SKEW_SIGNIFICANCE) {
+            self.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
         }
         let is_mount_wrong =
-            mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE)
-                && model.residual_with_known_mount() > MAX_EXPLAINED_RAD;
-        if let Some(known) = self.link.stream.link_from_imu
+            self.mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
+        if let Some(known) = self.link.known_mount()
             && !is_mount_wrong
         {
-            model.link_from_imu = known.rotation;
-            model.init_world();
+            self.link_from_imu = known;
+            self.init_world();
             free.retain(|parameter| !Self::MOUNT.contains(parameter));
         }
         if free.len() < all {
-            solved = solve(&mut model, &free);
+            solved = solve(self, &free);
         }
-        OrientationSolution { model, solved, mount_rad, skew }
-    }
-
-    /// Residual with the logged mount and the average world, rms rad. If link deviations explain it, weak
-    /// motion does not determine the mount.
-    fn residual_with_known_mount(&self) -> f64 {
-        let Some(known) = self.link.stream.link_from_imu else { return f64::INFINITY };
-        let mut model = Self { link_from_imu: known.rotation, ..self.clone() };
-        model.init_world();
-        rms(lengths(&model.linearize()))
+        solved
     }
 
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
-        let known = self.link.stream.link_from_imu.ok_or(NotObservable::NoFrame)?;
-        let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
-        let mount: Vec<usize> = Self::MOUNT.collect();
-        solved.mount_error(&mount, error.as_slice())
+        let known = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
+        let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
+        solved.mount_error(&Self::MOUNT.collect::<Vec<usize>>(), error.as_slice())
     }
 
-    fn add_profile(&mut self, yaw: &YawDecomposition) {
-        let t_s = &self.link.stream.track.t_s;
-        let jumps = yaw.parts.jumps.iter();
-        self.jumps =
-            jumps.map(|jump| Jump { at_s: jump.at_s, size_rad: jump.size_rad.value }).collect();
-        self.path_rad = match yaw.parts.walk_rad_per_sqrt_s {
-            Some(_) => self.rows.iter().map(|&k| yaw.walk_rad(t_s[k])).collect(),
-            None => Vec::new(),
+    /// Side of a slip with more samples.
+    fn longer_side(&self) -> Option<(f64, f64)> {
+        let (at_s, _) = self.effects.of(Block::Mount).next()?.profile.change_s()?;
+        Some(match at_s > self.link.middle_s {
+            true => (f64::NEG_INFINITY, at_s),
+            false => (at_s, f64::INFINITY),
+        })
+    }
+
+    fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
+        self.effects.mount_change(&self.link_from_imu, solved)
+    }
+
+    fn yaw_profile(&self, solved: &Solved) -> YawProfile {
+        let mut profile = YawProfile {
+            walk_rad_per_sqrt_s: self.effects.walk.as_ref().map(|walk| walk.density),
+            ..YawProfile::default()
         };
+        for effect in self.effects.of(Block::Yaw) {
+            let size = || solved.measure(effect.columns.start, effect.values[0]).ok();
+            match effect.profile {
+                Profile::Step { at_s, .. } => {
+                    profile.jumps.extend(size().map(|size_rad| YawJump { at_s, size_rad }));
+                }
+                Profile::Decay { time_constant_s, .. } => {
+                    let times = |by: f64, size: &Measured| Measured {
+                        value: size.value * by,
+                        std_error: size.std_error * by.abs(),
+                        ..*size
+                    };
+                    profile.warm_up = size().map(|size| YawWarmUp {
+                        time_constant_s,
+                        turned_rad: times(-1.0, &size),
+                        at_first_rad_s: times(-1.0 / time_constant_s, &size),
+                    });
+                }
+                Profile::Heading { axis } => {
+                    let linearization = self.linearize();
+                    let moments = linearization.t_s.iter().zip(&linearization.world_from_imu);
+                    let values = DVector::from_column_slice(&effect.values);
+                    let error = |(t_s, rotation): (&f64, &Rotation)| {
+                        let weights = DVector::from_vec(effect.profile.weights(*t_s, rotation));
+                        (weights.dot(&values), weights)
+                    };
+                    let errors: Vec<(f64, DVector<f64>)> = moments.map(error).collect();
+                    let min = errors.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+                    let max = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0));
+                    profile.heading = min.zip(max).and_then(|(min, max)| {
+                        let columns: Vec<usize> = effect.columns.clone().collect();
+                        let along = 0.5 * (&max.1 - &min.1);
+                        let half = 0.5 * (max.0 - min.0);
+                        let amplitude_rad =
+                            solved.measure_combination(&columns, along.as_slice(), half).ok()?;
+                        Some(HeadingError { amplitude_rad, axis })
+                    });
+                }
+            }
+        }
+        profile.jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        profile
     }
 
-    fn jumps(&self) -> impl Iterator<Item = (usize, &Jump)> {
-        (self.first_jump()..).zip(&self.jumps)
+    fn mount_at(&self, t_s: f64) -> Rotation {
+        self.effects.mount_at(&self.link_from_imu, t_s)
     }
 
-    fn error_without_drift(&self, row: usize) -> f64 {
-        let stamp = self.link.stream.track.t_s[self.rows[row]];
-        let by_terms: f64 = self.terms.iter().map(|term| term.at(row)).sum();
-        let by_jumps = self.jumps.iter().filter(|jump| stamp > jump.at_s);
-        let by_walk = self.path_rad.get(row).copied().unwrap_or(0.0);
-        by_terms + by_walk + by_jumps.map(|jump| jump.size_rad).sum::<f64>()
+    /// Yaw error relative to the middle of the run.
+    fn yaw_at(&self, t_s: f64, world_from_imu: &Rotation) -> f64 {
+        self.drift_rad_s * (t_s - self.link.middle_s)
+            + self.effects.sum(Block::Yaw, t_s, world_from_imu).x
     }
 
     /// Maps rotation axes of the link to the IMU's, as close to `expected` as the data allow.
@@ -382,20 +366,19 @@ impl<'a> OrientationModel<'a> {
             .rows
             .iter()
             .zip(&self.truth)
-            .enumerate()
-            .filter_map(|(row, (&k, truth))| {
+            .filter_map(|(&k, truth)| {
                 let link_state = self.link.at(self.delay.truth_s(t_s[k]), &mut buffers)?;
-                let truth =
-                    rotation_from_rotvec(Vec3::z() * -self.error_without_drift(row)) * truth;
-                Some(truth * (link_state.rotation * self.mount_at(t_s[k])).inverse())
+                let base_from_imu = link_state.rotation * self.mount_at(t_s[k]);
+                let yaw_rad = self.yaw_at(t_s[k], &(self.world_from_base * base_from_imu));
+                let truth = rotation_from_rotvec(Vec3::z() * -yaw_rad) * truth;
+                Some(truth * base_from_imu.inverse())
             })
             .collect();
         self.world_from_base = mean_rotation(&worlds);
     }
 
     /// Residual rotations and angular velocity by FK.
-    fn latency_samples(&self) -> Vec<LatencySample> {
-        let linear = self.linearize();
+    fn latency_samples(&self, solved: &Solved) -> Vec<LatencySample> {
         let mut buffers = self.link.buffers();
         let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
         let link_states = t_s.filter_map(|t_s| {
@@ -403,97 +386,111 @@ impl<'a> OrientationModel<'a> {
             let joint_noise = (link_state.rotation_noise.trace() / 3.0).sqrt();
             Some((t_s, self.world_from_base * link_state.rate, joint_noise))
         });
-        let residuals = linear.residual[0].iter().map(|&residual| Vec3::from(residual));
-        let to_sample = |((t_s, rate, joint_noise), residuals)| LatencySample {
+        let to_sample = |((t_s, rate, joint_noise), residual): (_, &Vec3)| LatencySample {
             t_s,
-            residual: [Vec3::zeros(), residuals],
+            residual: [Vec3::zeros(), *residual],
             velocity: [Vec3::zeros(), rate],
             loads: [0.0; 2],
             joint_noise,
         };
-        link_states.zip(residuals).map(to_sample).collect()
+        link_states.zip(&solved.residuals).map(to_sample).collect()
     }
 
-    /// Stamp and total yaw error relative to FK.
-    fn yaw_error(&self) -> Vec<(f64, f64)> {
-        Self { terms: Vec::new(), ..self.clone() }.yaw_without_terms()
-    }
-
-    /// Yaw error without the heading-dependent and decaying parts.
-    fn yaw_without_terms(&self) -> Vec<(f64, f64)> {
-        let driftless =
-            Self { drift_rad_s: 0.0, jumps: Vec::new(), path_rad: Vec::new(), ..self.clone() };
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
-        let stamps = self
-            .rows
-            .iter()
-            .filter(|&&k| self.link.at(self.delay.truth_s(t_s[k]), &mut buffers).is_some());
-        let stamps: Vec<f64> = stamps.map(|&k| t_s[k]).collect();
-        let linear = driftless.linearize();
-        stamps.into_iter().zip(linear.residual[0].iter().map(|residual| residual[2])).collect()
-    }
-
-    /// Heading of the IMU axis furthest from the vertical, by the IMU and by FK. Empty if every axis comes
-    /// too close.
-    fn headings(&self) -> Vec<HeadingPair> {
+    /// Stamp and total yaw error relative to FK, and the headings that it separates: of the IMU axis furthest
+    /// from the vertical, or none if every axis comes too close.
+    fn yaw_error(&self) -> (Vec<(f64, f64)>, Vec<HeadingPair>) {
         const MAX_VERTICAL_COSINE: f64 = 0.97;
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
-        let rows: Vec<(f64, Rotation, Rotation)> = self
-            .rows
-            .iter()
-            .zip(&self.truth)
-            .filter_map(|(&k, truth)| {
-                let link_state = self.link.at(self.delay.truth_s(t_s[k]), &mut buffers)?;
-                let by_fk = self.world_from_base * link_state.rotation * self.mount_at(t_s[k]);
-                Some((t_s[k], *truth, by_fk))
-            })
-            .collect();
-        let max_vertical = |axis: &Vec3| {
-            rows.iter().map(|(_, _, by_fk)| (by_fk * axis).z.abs()).fold(0.0, f64::max)
+        let Linearization { linear, t_s, world_from_imu } = self.linearize();
+        let moments = t_s.iter().zip(&world_from_imu).zip(&linear.residual[0]);
+        let error = |((t_s, rotation), residual): ((&f64, &Rotation), &[f64; 3])| {
+            (*t_s, self.yaw_at(*t_s, rotation) + residual[2])
         };
-        let axes = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
-        let axes = axes.iter().map(|axis| (max_vertical(axis), axis));
-        let Some((max_vertical, axis)) = axes.min_by(|a, b| a.0.total_cmp(&b.0)) else {
-            return Vec::new();
+        let errors: Vec<(f64, f64)> = moments.map(error).collect();
+        let points =
+            |axis: usize| world_from_imu.iter().map(move |by_fk| by_fk * Vec3::ith(axis, 1.0));
+        let max_vertical =
+            |axis: usize| points(axis).map(|point| point.z.abs()).fold(0.0, f64::max);
+        let axes = (0..3).map(|axis| (max_vertical(axis), axis));
+        let best = axes.min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, axis)) = best.filter(|best| best.0 <= MAX_VERTICAL_COSINE) else {
+            return (errors, Vec::new());
         };
-        if max_vertical > MAX_VERTICAL_COSINE {
-            return Vec::new();
-        }
-        let heading = |rotation: &Rotation| {
-            let points = rotation * axis;
-            points.y.atan2(points.x)
-        };
-        let unwrapped = |of: &dyn Fn(&(f64, Rotation, Rotation)) -> f64| {
-            yaw::unwrapped(&rows.iter().map(|row| (row.0, of(row))).collect::<Vec<_>>())
-        };
-        let by_fk = unwrapped(&|(_, _, by_fk)| heading(by_fk));
-        let yaw_error = unwrapped(&|(_, truth, by_fk)| {
-            let yaw_error = heading(truth) - heading(by_fk);
-            yaw_error - (yaw_error / TAU).round() * TAU
-        });
-        let pairs = by_fk.into_iter().zip(yaw_error);
-        pairs
-            .map(|((t_s, fk_rad), (_, yaw_error))| HeadingPair {
-                t_s,
-                imu_rad: fk_rad + yaw_error,
-                fk_rad,
-            })
-            .collect()
+        let by_fk: Vec<f64> = points(axis).map(|point| point.y.atan2(point.x)).collect();
+        let pairs = errors.iter().zip(unwrapped(&by_fk));
+        let pair = |(&(t_s, error), fk_rad)| HeadingPair { t_s, imu_rad: fk_rad + error, fk_rad };
+        let pairs = pairs.map(pair).collect();
+        (errors, pairs)
     }
 }
 
+fn unwrapped(series: &[f64]) -> Vec<f64> {
+    let (mut turns, mut last) = (0.0, None);
+    let unwrap = |&angle: &f64| {
+        if let Some(last) = last.replace(angle) {
+            let change: f64 = angle - last;
+            if change.abs() > PI {
+                turns -= change.signum() * TAU;
+            }
+        }
+        angle + turns
+    };
+    series.iter().map(unwrap).collect()
+}
+
 impl Model for OrientationModel<'_> {
-    fn linearize(&self) -> Linear {
-        self.linearized().0
+    const MODEL_ERROR: f64 = MODEL_ERROR_RAD;
+
+    fn linearize(&self) -> Linearization {
+        let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD]);
+        let (mut t_s, mut world_from_imu) = (Vec::new(), Vec::new());
+        let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
+        for (&k, truth) in self.rows.iter().zip(&self.truth) {
+            let stamp = self.link.stream.track.t_s[k];
+            let truth_s = self.delay.truth_s(stamp);
+            let Some(link_state) = self.link.at(truth_s, &mut buffers) else { continue };
+            let mount = self.mount_at(stamp);
+            let by_fk = self.world_from_base * link_state.rotation * mount;
+            let since = stamp - self.link.middle_s;
+            let yaw_rotation = rotation_from_rotvec(Vec3::z() * self.yaw_at(stamp, &by_fk));
+            let world = yaw_rotation * self.world_from_base;
+            let predicted = yaw_rotation * by_fk;
+            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
+            let mut rows = linear.push(&[residual.into()]);
+            if link_state.moving {
+                let later = -(world * link_state.rate);
+                rows.set(0, Self::LATENCY, later.into());
+                rows.set(0, Self::SKEW, (later * since).into());
+            }
+            rows.set(0, Self::DRIFT, (Vec3::z() * since).into());
+            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
+            let before_slip = mount.inverse() * self.link_from_imu;
+            for (axis, unit) in units.iter().enumerate() {
+                rows.set(0, Self::WORLD.start + axis, (yaw_rotation * unit).into());
+                rows.set(0, Self::MOUNT.start + axis, (predicted * (before_slip * unit)).into());
+            }
+            self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
+            let inner = frames.iter().take(self.link.inner_links());
+            let by_links =
+                inner.flat_map(|frame| units.map(|unit| world * (frame.rotation * unit)));
+            for (column, derivative) in (Self::LINKS_START..).zip(by_links) {
+                rows.set(0, column, derivative.into());
+            }
+            self.effects.set_rows(&mut rows, stamp, &by_fk, |block| match block {
+                Block::Mount => units.iter().map(|unit| predicted * unit).collect(),
+                _ => vec![Vec3::z()],
+            });
+            t_s.push(stamp);
+            world_from_imu.push(by_fk);
+        }
+        Linearization { linear, t_s, world_from_imu }
     }
 
     /// FK noise in the columns of mount and delay.
     fn design_noise(&self) -> DesignNoise {
-        let width = self.first_jump() + self.jumps.len();
+        let width = self.effects.width();
         let mut squares = DMatrix::zeros(width, width);
         let mut buffers = self.link.buffers();
+        let slip = self.effects.of(Block::Mount).next();
         let stamps = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
         for stamp in stamps {
             let Some(link_state) = self.link.at(self.delay.truth_s(stamp), &mut buffers) else {
@@ -503,8 +500,9 @@ impl Model for OrientationModel<'_> {
             let in_imu = link_state.rotation_noise * base_from_imu.matrix();
             let rotation_noise = rotated_noise(&base_from_imu.matrix().tr_mul(&in_imu));
             add_block(&mut squares, Self::MOUNT.start, &rotation_noise);
-            if self.slip.is_some_and(|(at_s, ..)| stamp > at_s) {
-                add_block(&mut squares, Self::SLIP.start, &rotation_noise);
+            if let Some(slip) = slip {
+                let weight = slip.profile.weights(stamp, &Rotation::identity())[0];
+                add_block(&mut squares, slip.columns.start, &(rotation_noise * weight));
             }
             if link_state.moving {
                 squares[(Self::LATENCY, Self::LATENCY)] += link_state.rate_noise;
@@ -512,13 +510,9 @@ impl Model for OrientationModel<'_> {
                 squares[(Self::SKEW, Self::SKEW)] += link_state.rate_noise * since_s.powi(2);
             }
         }
-        let groups = vec![
-            vec![Self::SKEW],
-            vec![Self::LATENCY],
-            Self::SLIP.collect(),
-            Self::MOUNT.collect(),
-        ];
-        DesignNoise { squares, groups }
+        let slip = slip.map(|slip| slip.columns.clone().collect());
+        let groups = [vec![Self::SKEW], vec![Self::LATENCY]].into_iter().chain(slip);
+        DesignNoise { squares, groups: groups.chain([Self::MOUNT.collect()]).collect() }
     }
 
     fn apply(&mut self, delta: &DVector<f64>) {
@@ -526,63 +520,37 @@ impl Model for OrientationModel<'_> {
         self.delay.latency_s += delta[Self::LATENCY];
         self.delay.skew += delta[Self::SKEW];
         self.drift_rad_s += delta[Self::DRIFT];
-        let first_jump = self.first_jump();
-        for (jump, step) in self.jumps.iter_mut().zip(delta.iter().skip(first_jump)) {
-            jump.size_rad += step;
-        }
-        let sizes = self.terms.iter_mut().flat_map(|term| &mut term.sizes_rad);
-        sizes
-            .zip(delta.iter().skip(Self::TERM_COLUMNS_START))
-            .for_each(|(size, step)| *size += step);
-        if let Some((.., slip)) = &mut self.slip {
-            *slip *= rotation_from_rotvec(part(Self::SLIP.start));
-        }
+        self.effects.apply(delta.as_slice());
         self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
     }
-}
 
-impl OrientationModel<'_> {
-    fn linearized(&self) -> (Linear, Vec<usize>) {
-        let mut linear = Linear::new(self.first_jump() + self.jumps.len(), &[FLOOR_RAD]);
-        let mut used_rows = Vec::new();
-        let mut buffers = self.link.buffers();
-        for (row, (&k, truth)) in self.rows.iter().zip(&self.truth).enumerate() {
-            let stamp = self.link.stream.track.t_s[k];
-            let truth_s = self.delay.truth_s(stamp);
-            let Some(link_state) = self.link.at(truth_s, &mut buffers) else { continue };
-            used_rows.push(row);
-            let since = stamp - self.link.middle_s;
-            let yaw_rad = self.drift_rad_s * since + self.error_without_drift(row);
-            let yaw_rotation = rotation_from_rotvec(Vec3::z() * yaw_rad);
-            let world = yaw_rotation * self.world_from_base;
-            let predicted = world * link_state.rotation * self.mount_at(stamp);
-            let slip = self.slip.filter(|(at_s, ..)| stamp > *at_s).map(|slip| slip.2);
-            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
-            let mut rows = linear.push(&[residual.into()]);
-            if link_state.moving {
-                let later = -(world * link_state.rate);
-                rows.set(0, Self::LATENCY, later.into());
-                rows.set(0, Self::SKEW, (later * since).into());
-            }
-            rows.set(0, Self::DRIFT, (Vec3::z() * since).into());
-            for (column, _) in self.jumps().filter(|(_, jump)| stamp > jump.at_s) {
-                rows.set(0, column, Vec3::z().into());
-            }
-            for axis in 0..3 {
-                let unit = Vec3::ith(axis, 1.0);
-                rows.set(0, Self::WORLD.start + axis, (yaw_rotation * unit).into());
-                let before_slip = slip.map_or(unit, |slip| slip.inverse() * unit);
-                rows.set(0, Self::MOUNT.start + axis, (predicted * before_slip).into());
-                if slip.is_some() {
-                    rows.set(0, Self::SLIP.start + axis, (predicted * unit).into());
-                }
-            }
-            let weights = self.terms.iter().flat_map(|form| &form.weights);
-            for (column, weight) in (Self::TERM_COLUMNS_START..).zip(weights) {
-                rows.set(0, column, (Vec3::z() * weight[row]).into());
-            }
+    fn effects(&self) -> &Effects {
+        &self.effects
+    }
+
+    fn effects_mut(&mut self) -> &mut Effects {
+        &mut self.effects
+    }
+
+    fn columns_of(&self, block: Block) -> Vec<usize> {
+        match block {
+            Block::Mount => Self::MOUNT.collect(),
+            Block::World => Self::WORLD.collect(),
+            // About the vertical.
+            _ => vec![Self::WORLD.end - 1],
         }
-        (linear, used_rows)
+    }
+
+    fn tested_with(&self) -> Vec<usize> {
+        (0..Self::LINKS_START).chain(self.effects.columns()).collect()
+    }
+
+    /// Rotations of the links between the first and the last joint, and effects.
+    fn priors(&self) -> Vec<Prior> {
+        let links = Self::LINKS_START..Self::LINKS_START + 3 * self.link.inner_links();
+        let variance = LINK_PRIOR_RAD.powi(2);
+        let links = links.map(|column| Prior { column, variance, value: 0.0 });
+        links.chain(self.effects.priors()).collect()
     }
 }

@@ -1,21 +1,53 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
 use super::MOUNT_SIGNIFICANCE;
+use super::effects::{Block, Effects};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
-use ground::geometry::Vec3;
+use ground::geometry::{Rotation, Vec3};
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
-pub(super) trait Model {
-    /// Linearises at the current parameters.
-    fn linearize(&self) -> Linear;
+/// Parametric model of one signal of an IMU.
+pub(super) trait Model: Clone {
+    /// Residuals below it distinguish no effects.
+    const MODEL_ERROR: f64;
+
+    /// Linearises at the current parameters, with all random effects at zero.
+    fn linearize(&self) -> Linearization;
 
     fn design_noise(&self) -> DesignNoise;
 
     /// One entry per column of the design.
     fn apply(&mut self, delta: &DVector<f64>);
+
+    fn effects(&self) -> &Effects;
+
+    fn effects_mut(&mut self) -> &mut Effects;
+
+    fn columns_of(&self, block: Block) -> Vec<usize>;
+
+    /// Parameters that are fitted while effects are tested.
+    fn tested_with(&self) -> Vec<usize>;
+
+    /// Columns with a normal prior about zero. They are always fitted.
+    fn priors(&self) -> Vec<Prior>;
+}
+
+pub(super) struct Prior {
+    pub column: usize,
+    pub variance: f64,
+    /// Current value; 0 for random effects, which are not part of the state.
+    pub value: f64,
+}
+
+pub(super) struct Linearization {
+    pub linear: Linear,
+    /// Per sample.
+    pub t_s: Vec<f64>,
+    /// Per sample, without yaw error; empty if there is no world.
+    pub world_from_imu: Vec<Rotation>,
 }
 
 /// Noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*, 1987, §2.2).
@@ -33,25 +65,34 @@ pub(super) struct Solved {
     /// Unobservable directions over all columns; the fit did not change them.
     fixed: Vec<DVector<f64>>,
     dof: f64,
+    /// Residuals after the random effects.
+    pub residuals: Vec<Vec3>,
 }
 
-/// Fits `free`. Directions that the motion does not excite above the design noise stay fixed.
+/// Fits `free` and the random effects. Directions that the motion does not excite above the design noise stay
+/// fixed.
 pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     const MAX_STEPS: usize = 8;
     /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
     let noise = model.design_noise();
     let mut remaining_steps = MAX_STEPS;
-    let mut linear = model.linearize();
-    let excited = Excited::new(&linear, &noise, free);
+    let mut linear = model.linearize().linear;
+    let excited = Excited::new(&linear, &noise, free, &model.priors());
     loop {
-        let step = Step::new(&linear, &excited);
-        model.apply(&step.delta);
+        let mut pull = DVector::zeros(linear.width);
+        for prior in model.priors() {
+            pull[prior.column] = -prior.value / prior.variance;
+        }
+        let step = Step::new(&linear, &excited, &pull);
         remaining_steps -= 1;
-        if remaining_steps == 0 || step.delta.amax() < CONVERGED_STEP {
+        let largest = free.iter().map(|&at| step.delta[at].abs()).fold(0.0, f64::max);
+        if remaining_steps == 0 || largest < CONVERGED_STEP {
+            model.apply(&step.delta);
             return step.solved(&linear, excited);
         }
-        linear = model.linearize();
+        model.apply(&step.delta);
+        linear = model.linearize().linear;
     }
 }
 
@@ -63,6 +104,8 @@ struct Excited {
     /// Directions that are not excited.
     fixed: Vec<DVector<f64>>,
     noise: DMatrix<f64>,
+    /// Precision of the priors.
+    prior: DMatrix<f64>,
 }
 
 impl Excited {
@@ -70,7 +113,7 @@ impl Excited {
     /// two in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
 
-    fn new(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
+    fn new(linear: &Linear, noise: &DesignNoise, free: &[usize], priors: &[Prior]) -> Self {
         let width = linear.width;
         let squares = linear.information(&linear.even_weights());
         let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(u8::from(i == column)));
@@ -100,9 +143,22 @@ impl Excited {
                 if *excess > 0.0 { basis.push(direction) } else { fixed.push(direction) }
             }
         }
+        let random: Vec<usize> = priors
+            .iter()
+            .map(|prior| prior.column)
+            .filter(|column| !free.contains(column))
+            .collect();
+        basis.extend(random.iter().map(|&column| unit(column)));
+        free.extend(random);
+        free.sort_unstable();
         let basis = columns(width, &basis);
         let noise = basis.tr_mul(&noise.squares) * &basis;
-        Self { free, basis, fixed, noise }
+        let mut precision = DMatrix::zeros(width, width);
+        for prior in priors {
+            precision[(prior.column, prior.column)] = prior.variance.recip();
+        }
+        let prior = basis.tr_mul(&precision) * &basis;
+        Self { free, basis, fixed, noise, prior }
     }
 }
 
@@ -117,7 +173,7 @@ struct Step {
 }
 
 impl Step {
-    fn new(linear: &Linear, excited: &Excited) -> Self {
+    fn new(linear: &Linear, excited: &Excited, pull: &DVector<f64>) -> Self {
         let columns: Vec<usize> = (0..linear.width).collect();
         let delta = DVector::zeros(linear.width);
         let mut step = Self { delta, weights: linear.first_weights(), independent: 0.0 };
@@ -125,8 +181,9 @@ impl Step {
         for _ in 0..2 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&step.weights, &columns, &mut normal);
-            let matrix = basis.tr_mul(&normal.matrix) * basis - step.noise(excited);
-            let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&normal.right));
+            let matrix =
+                basis.tr_mul(&normal.matrix) * basis - step.noise(excited) + &excited.prior;
+            let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(normal.right + pull)));
             let weights = linear.weights_after(delta.as_slice());
             step = Self { delta, weights, independent: normal.independent };
         }
@@ -141,15 +198,15 @@ impl Step {
     /// Covariance at the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let noise = self.noise(&excited);
-        let Excited { free, basis, mut fixed, .. } = excited;
+        let Excited { free, basis, mut fixed, prior, .. } = excited;
         let targets: Vec<Option<usize>> =
             (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
         let mut information = DMatrix::zeros(free.len(), free.len());
         let mut scores = information.clone();
         linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);
         let own = basis.select_rows(&free);
-        let information = own.tr_mul(&information) * &own - noise;
-        let mut covariance = sandwich(&information, &(own.tr_mul(&scores) * &own));
+        let information = own.tr_mul(&information) * &own - noise + &prior;
+        let mut covariance = sandwich(&information, &(own.tr_mul(&scores) * &own + &prior));
         for (at, direction) in basis.column_iter().enumerate() {
             if !covariance[(at, at)].is_finite() {
                 covariance.fill_row(at, 0.0);
@@ -158,23 +215,21 @@ impl Step {
             }
         }
         let covariance = &own * covariance * own.transpose();
-        let dof = (self.independent - free.len() as f64).max(3.0);
-        Solved { free, covariance, fixed, dof }
+        let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
+        let dof = (self.independent - (free.len() - random) as f64).max(3.0);
+        let residuals = linear.residuals_after(self.delta.as_slice()).swap_remove(0);
+        let residuals = residuals.into_iter().map(Vec3::from).collect();
+        Solved { free, covariance, fixed, dof, residuals }
     }
 }
 
 /// In fixed directions; beyond it a parameter is not observable.
 const MAX_FIXED_SHARE: f64 = 1e-3;
 
-pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
-    linear.residual[0].iter().map(|&residual| Vec3::from(residual).norm())
-}
-
 impl Solved {
     /// Estimate with fitted `value`.
     pub fn measure(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
-        let variance = self.block(&[parameter])?[(0, 0)];
-        Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
+        self.measure_combination(&[parameter], &[1.0], value)
     }
 
     /// Estimate of a linear combination with fitted `value`.
