@@ -98,21 +98,27 @@ pub(super) struct Effect {
     pub columns: Range<usize>,
 }
 
-/// Random walk of the yaw.
+/// Random walk of the yaw, linear between knots.
 #[derive(Clone, Debug)]
 pub(super) struct Walk {
     pub density: f64,
-    knots_s: Vec<f64>,
-    step_s: f64,
+    first_s: f64,
+    pub step_s: f64,
+    pub increments: usize,
 }
 
 impl Walk {
     fn over(t_s: &[f64]) -> Option<Self> {
-        let (first, last) = (*t_s.first()?, *t_s.last()?);
-        let count = ((last - first) / MIN_KNOT_DISTANCE_S).min(MAX_KNOTS).floor();
-        let step_s = (last - first) / count;
-        let knots_s = (1..count as usize).map(|k| first + step_s * k as f64).collect();
-        (count > 2.0).then_some(Self { density: 0.0, knots_s, step_s })
+        let (first_s, last) = (*t_s.first()?, *t_s.last()?);
+        let count = ((last - first_s) / MIN_KNOT_DISTANCE_S).min(MAX_KNOTS).floor();
+        let step_s = (last - first_s) / count;
+        (count > 2.0).then_some(Self { density: 0.0, first_s, step_s, increments: count as usize })
+    }
+
+    /// Share of each increment that has passed.
+    pub fn weights(&self, t_s: f64) -> impl Iterator<Item = f64> {
+        let passed = (t_s - self.first_s) / self.step_s;
+        (0..self.increments).map(move |k| (passed - k as f64).clamp(0.0, 1.0))
     }
 }
 
@@ -135,7 +141,7 @@ impl Effects {
 
     /// Width of the design.
     pub fn width(&self) -> usize {
-        self.end() + self.walk.as_ref().map_or(0, |walk| walk.knots_s.len())
+        self.end() + self.walk.as_ref().map_or(0, |walk| walk.increments)
     }
 
     pub fn columns(&self) -> Range<usize> {
@@ -216,9 +222,9 @@ impl Effects {
             }
         }
         if let Some(walk) = &self.walk {
-            let passed = walk.knots_s.partition_point(|knot_s| *knot_s < t_s);
-            for column in self.end()..self.end() + passed {
-                rows.set(0, column, derivatives(Block::Yaw)[0].into());
+            let by_yaw = derivatives(Block::Yaw)[0];
+            for (column, weight) in (self.end()..).zip(walk.weights(t_s)) {
+                rows.set(0, column, (by_yaw * weight).into());
             }
         }
     }
@@ -331,7 +337,7 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
             }
             Shape::Walk => {
                 if let Some(walk) = Walk::over(t_s) {
-                    consider(tests.walk(columns[0], &walk.knots_s, walk.step_s), &|test| {
+                    consider(tests.walk(columns[0], &walk), &|test| {
                         let mut extended = model.clone();
                         let walk = Walk { density: test.at, ..walk.clone() };
                         extended.effects_mut().add_walk(walk);

@@ -3,6 +3,7 @@
 //! model by weighted columns. Extensions compete by the log Bayes factor over the base model, as diagnoses
 //! of an arm do (`selection::evidence`).
 
+use super::effects::Walk;
 use crate::priors::price;
 use crate::solver::linear::{Linear, Normal, ridged};
 use crate::solver::noise::Noise;
@@ -208,50 +209,62 @@ impl<'a> ExtensionTests<'a> {
         Some(ModelExtension { at: 0.0, interval_s: [0.0; 2], log_bayes_factor })
     }
 
-    /// Random walk of `column` with independent increments at `knots_s`, a time `step_s` apart. Estimates its
-    /// density, per √s.
-    pub fn walk(&self, column: usize, knots_s: &[f64], step_s: f64) -> Option<ModelExtension> {
+    /// Random walk of `column`. Estimates its density, per √s.
+    pub fn walk(&self, column: usize, walk: &Walk) -> Option<ModelExtension> {
         /// Variances of an increment, relative to its noise.
         const POWERS_OF_TWO: std::ops::RangeInclusive<i32> = -8..=24;
-        /// Every so many knots are free while the noise is estimated: the others must not absorb
-        /// autocorrelated noise.
-        const KNOTS_PER_FREE_KNOT: usize = 4;
-        let after = |knot_s: &f64| {
-            self.t_s.iter().map(|t_s| f64::from(u8::from(t_s > knot_s))).collect::<Vec<f64>>()
+        /// Every so many increments are joined while the noise is first estimated: single ones absorb autocorrelated
+        /// noise.
+        const JOINED_INCREMENTS: usize = 4;
+        let mut weights = vec![Vec::with_capacity(self.t_s.len()); walk.increments];
+        for &t_s in self.t_s {
+            weights.iter_mut().zip(walk.weights(t_s)).for_each(|(all, weight)| all.push(weight));
+        }
+        let join = |increments: &[Vec<f64>]| {
+            (0..self.t_s.len()).map(|at| increments.iter().map(|one| one[at]).sum()).collect()
         };
-        let weights: Vec<Vec<f64>> = knots_s.iter().map(after).collect();
-        let free: Vec<Vec<f64>> = weights.iter().step_by(KNOTS_PER_FREE_KNOT).cloned().collect();
-        let noise = self.noise_with(&[column], &free, &self.sums(&[column], &free))?;
+        let joined: Vec<Vec<f64>> = weights.chunks(JOINED_INCREMENTS).map(join).collect();
+        let noise = self.noise_with(&[column], &joined, &self.sums(&[column], &joined), 0.0)?;
         let added = self.sums(&[column], &weights);
-        let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
-        let typical = noise.variance * weights.len() as f64 / added.own.trace();
-        let variances = POWERS_OF_TWO.map(|power| typical * 2f64.powi(power));
-        // The density is a parameter as well.
-        let price = price(noise.independent);
-        let evidence = |variance| Some((noise.evidence(&fit, &added, variance)? - price, variance));
-        let (log_bayes_factor, variance) =
-            variances.filter_map(evidence).max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let density = (variance / step_s).sqrt();
+        let likeliest = |noise: &IndependentNoise| {
+            let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
+            let typical = noise.variance * weights.len() as f64 / added.own.trace();
+            let variances = POWERS_OF_TWO.map(|power| typical * 2f64.powi(power));
+            // The density is a parameter as well.
+            let price = price(noise.independent);
+            let evidence =
+                |variance| Some((noise.evidence(&fit, &added, variance)? - price, variance));
+            variances.filter_map(evidence).max_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let (log_bayes_factor, mut variance) = likeliest(&noise)?;
+        // The first noise contains the walk within the joined increments.
+        let precision = noise.variance / variance;
+        let noise = self.noise_with(&[column], &weights, &added, precision)?;
+        if let Some(refined) = likeliest(&noise) {
+            variance = refined.1;
+        }
+        let density = (variance / walk.step_s).sqrt();
         Some(ModelExtension { at: density, interval_s: [0.0; 2], log_bayes_factor })
     }
 
     /// Twice the log Bayes factor, and the variance of independent noise.
     fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
         let added = self.sums(columns, weights);
-        let noise = self.noise_with(columns, weights, &added)?;
+        let noise = self.noise_with(columns, weights, &added, 0.0)?;
         let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
         let log_bayes_factor = noise.evidence(&fit, &added, size.powi(2))?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
     }
 
-    /// Noise with additional columns, in the components of the residual that they change.
+    /// Noise with additional columns of this prior precision times the noise variance, in the components of the residual that they change.
     fn noise_with(
         &self,
         columns: &[usize],
         weights: &[Vec<f64>],
         added: &Added,
+        precision: f64,
     ) -> Option<IndependentNoise> {
-        let fit = self.fit.extend(added, 0.0)?;
+        let fit = self.fit.extend(added, precision)?;
         let by_added = self.fit.cholesky.solve(&(&added.with_base * &fit.parameters));
         let base = &self.fit.parameters - by_added;
         Some(self.noise(&base, columns, weights, fit.parameters.as_slice()))

@@ -44,7 +44,9 @@ const MIN_FIT_SAMPLES: usize = 20;
 const MOUNT_SIGNIFICANCE: f64 = 1e-4;
 /// High because an omitted skew biases the latency.
 const SKEW_SIGNIFICANCE: f64 = 1e-3;
-/// Rms over the run, for [`check_explained`].
+/// Parts of a run: for [`check_explained`], and to average noise.
+const BLOCKS: usize = 10;
+/// Rms in the blocks, for [`check_explained`].
 const MIN_ROTATION_RAD: f64 = 0.02;
 const MIN_EXPLAINED_SHARE: f64 = 0.95;
 const ROTATION_LATENCY_SAMPLES: usize = 300;
@@ -409,7 +411,7 @@ impl<'a> Link<'a> {
         if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
     }
 
-    /// Rms rotation of the link about its mean by FK.
+    /// Rms rotation of the link by FK about its mean in each block of the run.
     fn rotation_rms_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
         let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
@@ -419,8 +421,22 @@ impl<'a> Link<'a> {
             .step_by(step)
             .filter_map(|&stamp| Some(self.at(delay.truth_s(stamp), &mut buffers)?.rotation))
             .collect();
-        let mean = mean_rotation(&rotations);
-        rms(rotations.iter().map(|rotation| angle_between(&mean, rotation)))
+        let blocks = rotations.chunks(rotations.len().div_ceil(BLOCKS).max(1));
+        rms(blocks.flat_map(|block| {
+            let mean = mean_rotation(block);
+            block.iter().map(move |rotation| angle_between(&mean, rotation))
+        }))
+    }
+
+    /// Checks that the model explains the rotation within each block. Effects that are constant in a block do not.
+    fn check_rotation_explained(&self, delay: &Delay, residuals: &[Vec3]) -> EstimateResult<()> {
+        let rotation_rad = self.rotation_rms_rad(delay);
+        let blocks = residuals.chunks(residuals.len().div_ceil(BLOCKS).max(1));
+        let residual_rad = rms(blocks.flat_map(|block| {
+            let mean = block.iter().sum::<Vec3>() / block.len() as f64;
+            block.iter().map(move |residual| (residual - mean).norm())
+        }));
+        if rotation_rad > MIN_ROTATION_RAD { check_explained(rotation_rad, residual_rad) } else { Ok(()) }
     }
 
     fn stride(&self) -> usize {

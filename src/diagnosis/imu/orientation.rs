@@ -7,8 +7,8 @@ use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
-    add_block, check_explained, mount_of, rms, rotated_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, add_block, mount_of,
+    rotated_noise,
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
@@ -69,10 +69,7 @@ impl Link<'_> {
                 .estimate_encoding_near(&model.delay, self.known_mount(), from_s..to_s)
                 .map_or(encoding, |estimated| estimated.0);
         }
-        let rotation_rms_rad = self.rotation_rms_rad(&model.delay);
-        if rotation_rms_rad > MIN_ROTATION_RAD {
-            check_explained(rotation_rms_rad, rms(solved.residuals.iter().map(Vec3::norm)))?;
-        }
+        self.check_rotation_explained(&model.delay, &solved.residuals)?;
         let clock = match moves {
             true => {
                 let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);

@@ -1,6 +1,6 @@
 //! Tilt of an IMU's orientation against gravity.
 
-use super::Link;
+use super::{BLOCKS, Link};
 use super::estimates::UpDirections;
 use crate::{EstimateResult, NotObservable};
 use ground::geometry::{Rotation, Vec3};
@@ -9,8 +9,6 @@ use nalgebra::DMatrix;
 
 /// Around a sample at rest.
 const REST_MARGIN_S: f64 = 0.05;
-/// Their means count as independent: few outlast the noise's correlation time.
-const BLOCKS: usize = 10;
 const MIN_SAMPLES: usize = 4 * BLOCKS;
 
 impl Link<'_> {
