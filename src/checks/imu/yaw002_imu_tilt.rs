@@ -146,6 +146,7 @@ mod tests {
             imu.up = Some(UpDirections {
                 in_world: in_world.into(),
                 in_base: [0.0, 0.0, base_z].into(),
+                base_tilt_rad: length(0.0),
             });
             let (_, findings) = evaluate_rule(&YAW002, &run);
             findings[0].title.to_owned()

@@ -6,6 +6,7 @@ use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
+use std::f64::consts::PI;
 
 rule! {
     /// IMU mount differs from the log's frames.
@@ -170,14 +171,12 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
     }
 }
 
-/// Angle between the base's z axis and the up direction by accelerometer, FK and the logged mount: that of a
-/// base that stands or hangs.
+/// Tilt of a base that stands or hangs, by the accelerometer, FK and the logged mount: a 95 % lower bound.
 fn gravity_error(imu: &StreamEvidence<ImuEvidence>) -> Option<f64> {
     let (up, logged) = (imu.diagnosis.up?, imu.link_from_imu?);
     let assumed = imu.diagnosis.link_from_imu?;
-    let in_base = up.in_base;
-    (angle_between(&logged, &assumed) < f64::EPSILON.sqrt())
-        .then(|| in_base.z.abs().min(1.0).acos())
+    let [low, high] = up.base_tilt_rad.norm.interval(0.95);
+    (angle_between(&logged, &assumed) < f64::EPSILON.sqrt()).then(|| low.min(PI - high))
 }
 
 fn off_gravity(imu: &StreamEvidence<ImuEvidence>, tilt_rad: f64) -> Fault {

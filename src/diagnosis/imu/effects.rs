@@ -474,15 +474,26 @@ mod tests {
     #[test]
     fn a_walk_is_mostly_no_jump_and_its_drift_has_an_interval() {
         let (mut walks, mut covered, mut others) = (0, 0, 0);
+        let mut ratios = Vec::new();
         for seed in 0..60 {
             let (model, solved) = Series::new(seed, 0.0, 2e-3, |_| 0.0).fitted();
             let density = model.effects.walk.as_ref().map_or(0.0, |walk| walk.density);
-            walks += usize::from((7e-4..4e-3).contains(&density));
+            walks += usize::from((1.2e-3..3.2e-3).contains(&density));
+            ratios.push(density / 2e-3);
             others += model.effects.list.len();
             let [low, high] = solved.measure(1, model.offset[1]).expect("a drift").interval(0.95);
             covered += usize::from((low..=high).contains(&0.0));
         }
         assert!(walks >= 51 && others <= 12 && covered >= 51, "{walks} {others} {covered}");
+        let median = ground::stats::median(&mut ratios).expect("ratios");
+        assert!((0.85..1.15).contains(&median), "{median}");
+    }
+
+    #[test]
+    fn a_part_that_no_effect_explains_has_none() {
+        let unrelated = |t_s: f64| if t_s < 2.2 { (3.0 * t_s).sin() } else { 0.0 };
+        let (model, _) = Series::new(4, 0.5, 0.0, unrelated).fitted();
+        assert!(model.effects.list.is_empty(), "{:?}", model.effects);
     }
 
     #[test]

@@ -87,6 +87,8 @@ pub struct UpDirections {
     pub in_world: Vec3,
     /// Direction in the arm's base, by FK and the estimated mount.
     pub in_base: Vec3,
+    /// Its angle to the base's z axis.
+    pub base_tilt_rad: MeasuredLength,
 }
 
 /// Rotation of an IMU in its mount within the run.

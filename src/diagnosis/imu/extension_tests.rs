@@ -25,6 +25,8 @@ pub(super) struct ExtensionTests<'a> {
     /// Their prior precisions; 0 without a prior.
     precision: Vec<f64>,
     robust_weights: Vec<f64>,
+    /// Square of a residual beyond which a sample is an outlier.
+    outlier: f64,
     /// Error of the base model without any fault; smaller residuals distinguish no extensions.
     model_error: f64,
     normal: Normal,
@@ -56,6 +58,8 @@ struct BaseFit {
     parameters: DVector<f64>,
     /// Residual and prior sum of squares.
     squares: f64,
+    /// Of the noise.
+    variance: f64,
 }
 
 /// Products of additional columns.
@@ -98,10 +102,10 @@ impl<'a> ExtensionTests<'a> {
         model_error: f64,
     ) -> Option<Self> {
         let residual = &linear.residual[0];
-        let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(model_error) * 3f64.sqrt();
-        let norm = |r: &[f64; 3]| r.iter().map(|c| c * c).sum::<f64>().sqrt();
+        let sigma = robust_sigma(residual).max(model_error);
+        let outlier = 3.0 * (OUTLIER_SIGMAS * sigma).powi(2);
         let robust_weights: Vec<f64> =
-            residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
+            residual.iter().map(|r| (outlier / squares(r)).min(1.0)).collect();
         let precision: Vec<f64> = base.iter().map(|parameter| parameter.1).collect();
         let base: Vec<usize> = base.iter().map(|parameter| parameter.0).collect();
         let mut normal = Normal::zeros(base.len());
@@ -115,10 +119,18 @@ impl<'a> ExtensionTests<'a> {
                 normal.cost += weight * residual * residual;
             }
         }
-        let first = (robust_sigma(residual).max(model_error)).powi(2);
-        let fit = BaseFit::new(&normal, &precision, first)?;
-        let mut tests =
-            Self { linear, t_s, base, precision, robust_weights, model_error, normal, fit };
+        let fit = BaseFit::new(&normal, &precision, sigma.powi(2))?;
+        let mut tests = Self {
+            linear,
+            t_s,
+            base,
+            precision,
+            robust_weights,
+            outlier,
+            model_error,
+            normal,
+            fit,
+        };
         let noise = tests.noise(&tests.fit.parameters, &[], &[], &[]);
         tests.fit = BaseFit::new(&tests.normal, &tests.precision, noise.variance)?;
         Some(tests)
@@ -224,24 +236,27 @@ impl<'a> ExtensionTests<'a> {
             (0..self.t_s.len()).map(|at| increments.iter().map(|one| one[at]).sum()).collect()
         };
         let joined: Vec<Vec<f64>> = weights.chunks(JOINED_INCREMENTS).map(join).collect();
-        let noise = self.noise_with(&[column], &joined, &self.sums(&[column], &joined), 0.0)?;
         let added = self.sums(&[column], &weights);
         let likeliest = |noise: &IndependentNoise| {
             let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
             let typical = noise.variance * weights.len() as f64 / added.own.trace();
-            let variances = POWERS_OF_TWO.map(|power| typical * 2f64.powi(power));
-            // The density is a parameter as well.
-            let price = price(noise.independent);
-            let evidence =
-                |variance| Some((noise.evidence(&fit, &added, variance)? - price, variance));
-            variances.filter_map(evidence).max_by(|a, b| a.0.total_cmp(&b.0))
+            let cost = |variance: f64| {
+                noise.evidence(&fit, &added, variance).map_or(f64::INFINITY, |gain| -gain)
+            };
+            let coarse =
+                best_candidate(POWERS_OF_TWO.map(|power| typical * 2f64.powi(power)), cost)?;
+            best_candidate((-4..=4).map(|k| coarse * 2f64.powf(0.25 * f64::from(k))), cost)
         };
-        let (log_bayes_factor, mut variance) = likeliest(&noise)?;
+        let first = self.noise_with(&[column], &joined, &self.sums(&[column], &joined), 0.0)?;
+        let mut variance = likeliest(&first)?;
+        // The density is a parameter as well.
+        let log_bayes_factor =
+            self.evidence(&[column], &weights, &added, variance, first)? - price(first.independent);
         // The first noise contains the walk within the joined increments.
-        let precision = noise.variance / variance;
-        let noise = self.noise_with(&[column], &weights, &added, precision)?;
-        if let Some(refined) = likeliest(&noise) {
-            variance = refined.1;
+        for _ in 0..2 {
+            let precision = self.fit.variance / variance;
+            let noise = self.noise_with(&[column], &weights, &added, precision)?;
+            variance = likeliest(&noise)?;
         }
         let density = (variance / walk.step_s).sqrt();
         Some(ModelExtension { at: density, interval_s: [0.0; 2], log_bayes_factor })
@@ -251,12 +266,57 @@ impl<'a> ExtensionTests<'a> {
     fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
         let added = self.sums(columns, weights);
         let noise = self.noise_with(columns, weights, &added, 0.0)?;
-        let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
-        let log_bayes_factor = noise.evidence(&fit, &added, size.powi(2))?;
+        let log_bayes_factor = self.evidence(columns, weights, &added, size.powi(2), noise)?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
     }
 
-    /// Noise with additional columns of this prior precision times the noise variance, in the components of the residual that they change.
+    /// Twice the log Bayes factor of additional columns. An outlier counts the same however far off it is: columns
+    /// that move it, but not to the others, explain nothing.
+    fn evidence(
+        &self,
+        columns: &[usize],
+        weights: &[Vec<f64>],
+        added: &Added,
+        variance: f64,
+        noise: IndependentNoise,
+    ) -> Option<f64> {
+        let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
+        let extended = fit.extend(added, noise.variance / variance)?;
+        let base = &fit.parameters - fit.cholesky.solve(&(&added.with_base * &extended.parameters));
+        let values = extended.parameters.as_slice();
+        let (mut by_weights, mut by_outliers) = (0.0, 0.0);
+        for (sample, weight) in self.robust_weights.iter().enumerate() {
+            let before = squares(&self.residual(sample, &fit.parameters, &[], &[], &[]));
+            let after = squares(&self.residual(sample, &base, columns, weights, values));
+            by_weights += weight * (before - after);
+            by_outliers += before.min(self.outlier) - after.min(self.outlier);
+        }
+        let evidence = noise.evidence(&fit, added, variance)?;
+        Some(evidence + (by_outliers - by_weights) / noise.variance)
+    }
+
+    /// Residual of a sample after the base model and additional columns.
+    fn residual(
+        &self,
+        sample: usize,
+        base: &DVector<f64>,
+        columns: &[usize],
+        weights: &[Vec<f64>],
+        added: &[f64],
+    ) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let row = self.linear.row(sample, axis);
+            let by_base = self.base.iter().zip(base.iter()).map(|(&at, value)| row[at] * value);
+            let by_added = weights
+                .iter()
+                .flat_map(|weight| columns.iter().map(move |&column| weight[sample] * row[column]));
+            let by_added = by_added.zip(added).map(|(derivative, value)| derivative * value);
+            self.linear.residual(sample, axis) - by_base.chain(by_added).sum::<f64>()
+        })
+    }
+
+    /// Noise with additional columns, in the components of the residual that they change. `precision` is that of their
+    /// prior, times the variance of the noise.
     fn noise_with(
         &self,
         columns: &[usize],
@@ -279,15 +339,6 @@ impl<'a> ExtensionTests<'a> {
     ) -> IndependentNoise {
         /// Share of the columns' squares in a component that they change.
         const MIN_SHARE: f64 = 1e-3;
-        let one = |sample: usize, axis: usize| {
-            let row = self.linear.row(sample, axis);
-            let by_base = self.base.iter().zip(base.iter()).map(|(&at, value)| row[at] * value);
-            let by_added = weights
-                .iter()
-                .flat_map(|weight| columns.iter().map(move |&column| weight[sample] * row[column]));
-            let by_added = by_added.zip(added).map(|(derivative, value)| derivative * value);
-            self.linear.residual(sample, axis) - by_base.chain(by_added).sum::<f64>()
-        };
         let samples = 0..self.t_s.len();
         let squares = [0, 1, 2].map(|axis| -> f64 {
             let of_sample =
@@ -296,7 +347,8 @@ impl<'a> ExtensionTests<'a> {
         });
         let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
         let changed = |sample: usize| {
-            [0, 1, 2].map(|axis| if is_changed[axis] { one(sample, axis) } else { 0.0 })
+            let residual = self.residual(sample, base, columns, weights, added);
+            [0, 1, 2].map(|axis| if is_changed[axis] { residual[axis] } else { 0.0 })
         };
         let residual: Vec<[f64; 3]> = samples.map(changed).collect();
         let components = is_changed.iter().filter(|changed| **changed).count() as f64;
@@ -370,7 +422,7 @@ impl BaseFit {
         let cholesky = ridged(matrix).cholesky()?;
         let parameters = cholesky.solve(&normal.right);
         let squares = normal.cost - normal.right.dot(&parameters);
-        Some(Self { cholesky, parameters, squares })
+        Some(Self { cholesky, parameters, squares, variance })
     }
 
     /// Fit with additional columns, with a prior precision times the noise variance.
@@ -386,6 +438,10 @@ impl BaseFit {
         let log_det = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
         Some(AddedFit { gain: right.dot(&parameters), parameters, log_det })
     }
+}
+
+fn squares(residual: &[f64; 3]) -> f64 {
+    residual.iter().map(|component| component * component).sum()
 }
 
 fn best_candidate(

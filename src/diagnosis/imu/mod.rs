@@ -436,7 +436,11 @@ impl<'a> Link<'a> {
             let mean = block.iter().sum::<Vec3>() / block.len() as f64;
             block.iter().map(move |residual| (residual - mean).norm())
         }));
-        if rotation_rad > MIN_ROTATION_RAD { check_explained(rotation_rad, residual_rad) } else { Ok(()) }
+        if rotation_rad > MIN_ROTATION_RAD {
+            check_explained(rotation_rad, residual_rad)
+        } else {
+            Ok(())
+        }
     }
 
     fn stride(&self) -> usize {

@@ -7,8 +7,8 @@ use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, add_block, mount_of,
-    rotated_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, add_block,
+    mount_of, rotated_noise,
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,

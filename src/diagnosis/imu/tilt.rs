@@ -1,7 +1,7 @@
 //! Tilt of an IMU's orientation against gravity.
 
-use super::{BLOCKS, Link};
 use super::estimates::UpDirections;
+use super::{BLOCKS, Link};
 use crate::{EstimateResult, NotObservable};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::MeasuredLength;
@@ -26,45 +26,41 @@ impl Link<'_> {
         sum.norm() / sizes
     }
 
-    /// Direction opposite to gravity while the arm rests.
-    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
+    /// Specific forces while the arm rests, in the orientation's world and in the base.
+    fn forces_at_rest(&self, lag_s: f64, link_from_imu: &Rotation) -> [Vec<Vec3>; 2] {
         let track = self.stream.track;
         let mut buffers = self.buffers();
-        let (mut world, mut base, mut count) = (Vec3::zeros(), Vec3::zeros(), 0);
-        for k in (0..track.t_s.len()).step_by(self.stride()) {
-            let link_state = self.at(track.t_s[k] - lag_s, &mut buffers);
-            if let Some(link_state) = link_state.filter(|link_state| !link_state.moving)
-                && let Some(orientation) = track.orientation.get(k)
-            {
-                world += orientation * track.accel[k];
-                base += link_state.rotation * (link_from_imu * track.accel[k]);
-                count += 1;
+        let mut at_rest = |t_s: f64| self.at(t_s, &mut buffers).filter(|state| !state.moving);
+        let (mut in_world, mut in_base) = (Vec::new(), Vec::new());
+        for k in (0..track.orientation.len()).step_by(self.stride()) {
+            let t_s = track.t_s[k] - lag_s;
+            let around = [-REST_MARGIN_S, REST_MARGIN_S].map(|by_s| at_rest(t_s + by_s));
+            if let ([Some(_), Some(_)], Some(link_state)) = (around, at_rest(t_s)) {
+                in_world.push(track.orientation[k] * track.accel[k]);
+                in_base.push(link_state.rotation * (link_from_imu * track.accel[k]));
             }
         }
-        let in_world = world.try_normalize(f64::MIN_POSITIVE)?;
-        let in_base = base.try_normalize(f64::MIN_POSITIVE)?;
-        (count >= MIN_SAMPLES).then_some(UpDirections { in_world, in_base })
+        [in_world, in_base]
+    }
+
+    /// Direction opposite to gravity.
+    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
+        let [in_world, in_base] = self.forces_at_rest(lag_s, link_from_imu);
+        let mean = |forces: &[Vec3]| forces.iter().sum::<Vec3>().try_normalize(f64::MIN_POSITIVE);
+        (in_world.len() >= MIN_SAMPLES).then_some(())?;
+        let base_tilt_rad = tilt(&in_base).ok()?;
+        Some(UpDirections { in_world: mean(&in_world)?, in_base: mean(&in_base)?, base_tilt_rad })
     }
 
     pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<MeasuredLength> {
-        let track = self.stream.track;
-        if track.orientation.is_empty() {
+        if self.stream.track.orientation.is_empty() {
             return Err(NotObservable::NoOrientation);
         }
-        let mut buffers = self.buffers();
-        let mut rests =
-            |t_s: f64| self.at(t_s, &mut buffers).is_some_and(|link_state| !link_state.moving);
-        let resting = (0..track.t_s.len()).step_by(self.stride()).filter(|&k| {
-            let t_s = track.t_s[k] - lag_s;
-            rests(t_s - REST_MARGIN_S) && rests(t_s) && rests(t_s + REST_MARGIN_S)
-        });
-        let forces: Vec<Vec3> = resting.map(|k| track.orientation[k] * track.accel[k]).collect();
-        tilt(&forces)
+        tilt(&self.forces_at_rest(lag_s, &Rotation::identity())[0])
     }
 }
 
-/// Angle between the vertical and the mean force at rest, in the orientation's world. The standard error
-/// comes from the spread over blocks.
+/// Angle between the z axis and the mean force at rest. The standard error comes from the spread over blocks.
 fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
     if n < MIN_SAMPLES {
