@@ -76,7 +76,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
         let fix =
             format!("negate {axis} of the angular velocity, or check which axes the driver swaps");
         let outcome = Outcome::fail(fault(Severity::Error, message, fix));
-        let half = Estimate::exact("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
+        let half = Estimate::exact("mount error", THRESHOLD.unit.symbol(), PI);
         return Some(imu.judged(outcome).estimated(half).within(imu.span));
     }
     let rotation = imu.diagnosis.axes_rotation.as_ref()?;

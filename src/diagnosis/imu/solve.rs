@@ -166,6 +166,18 @@ fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
     DMatrix::from_fn(width, directions.len(), |i, j| directions[j][i])
 }
 
+/// Information without the design noise. Zero along directions that have less: their noise must not use up a
+/// prior, as where a link deviation has the same effect as the mount.
+fn without_noise(mut information: DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix<f64> {
+    let scale = information.diagonal().map(|one| if one > 0.0 { one.sqrt() } else { 1.0 });
+    information -= noise;
+    let scaled = |i: usize, j: usize| information[(i, j)] / (scale[i] * scale[j]);
+    let mut eigen = DMatrix::from_fn(scale.len(), scale.len(), scaled).symmetric_eigen();
+    eigen.eigenvalues.apply(|value| *value = value.max(0.0));
+    let clipped = eigen.recompose();
+    DMatrix::from_fn(scale.len(), scale.len(), |i, j| clipped[(i, j)] * scale[i] * scale[j])
+}
+
 struct Step {
     delta: DVector<f64>,
     weights: Vec<Weight>,
@@ -181,8 +193,8 @@ impl Step {
         for _ in 0..2 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&step.weights, &columns, &mut normal);
-            let matrix =
-                basis.tr_mul(&normal.matrix) * basis - step.noise(excited) + &excited.prior;
+            let data = basis.tr_mul(&normal.matrix) * basis;
+            let matrix = without_noise(data, &step.noise(excited)) + &excited.prior;
             let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(normal.right + pull)));
             let weights = linear.weights_after(delta.as_slice());
             step = Self { delta, weights, independent: normal.independent };
@@ -205,7 +217,7 @@ impl Step {
         let mut scores = information.clone();
         linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);
         let own = basis.select_rows(&free);
-        let information = own.tr_mul(&information) * &own - noise + &prior;
+        let information = without_noise(own.tr_mul(&information) * &own, &noise) + &prior;
         let mut covariance = sandwich(&information, &(own.tr_mul(&scores) * &own + &prior));
         for (at, direction) in basis.column_iter().enumerate() {
             if !covariance[(at, at)].is_finite() {
