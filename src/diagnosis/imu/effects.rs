@@ -9,8 +9,8 @@ use crate::solver::linear::Rows;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use std::ops::Range;
 
-/// Knots of a random walk: at most this many, and at least this far apart.
-const MAX_KNOTS: f64 = 40.0;
+/// Knots of a random walk: at most this many, for a density known to 10 %, and at least this far apart.
+const MAX_KNOTS: f64 = 60.0;
 const MIN_KNOT_DISTANCE_S: f64 = 0.4;
 const MAX_EFFECTS: usize = 6;
 

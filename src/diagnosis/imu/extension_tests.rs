@@ -228,6 +228,7 @@ impl<'a> ExtensionTests<'a> {
         /// Every so many increments are joined while the noise is first estimated: single ones absorb autocorrelated
         /// noise.
         const JOINED_INCREMENTS: usize = 4;
+        const MAX_REFINEMENTS: usize = 8;
         let mut weights = vec![Vec::with_capacity(self.t_s.len()); walk.increments];
         for &t_s in self.t_s {
             weights.iter_mut().zip(walk.weights(t_s)).for_each(|(all, weight)| all.push(weight));
@@ -253,10 +254,13 @@ impl<'a> ExtensionTests<'a> {
         let log_bayes_factor =
             self.evidence(&[column], &weights, &added, variance, first)? - price(first.independent);
         // The first noise contains the walk within the joined increments.
-        for _ in 0..2 {
+        for _ in 0..MAX_REFINEMENTS {
             let precision = self.fit.variance / variance;
             let noise = self.noise_with(&[column], &weights, &added, precision)?;
-            variance = likeliest(&noise)?;
+            let previous = std::mem::replace(&mut variance, likeliest(&noise)?);
+            if variance <= previous {
+                break;
+            }
         }
         let density = (variance / walk.step_s).sqrt();
         Some(ModelExtension { at: density, interval_s: [0.0; 2], log_bayes_factor })
