@@ -58,8 +58,6 @@ struct BaseFit {
     parameters: DVector<f64>,
     /// Residual and prior sum of squares.
     squares: f64,
-    /// Of the noise.
-    variance: f64,
 }
 
 /// Products of additional columns.
@@ -248,15 +246,17 @@ impl<'a> ExtensionTests<'a> {
                 best_candidate(POWERS_OF_TWO.map(|power| typical * 2f64.powi(power)), cost)?;
             best_candidate((-4..=4).map(|k| coarse * 2f64.powf(0.25 * f64::from(k))), cost)
         };
-        let first = self.noise_with(&[column], &joined, &self.sums(&[column], &joined), 0.0)?;
-        let mut variance = likeliest(&first)?;
+        let sums = self.sums(&[column], &joined);
+        let mut noise = self.noise_with(&self.fit, &[column], &joined, &sums, 0.0)?;
+        let mut variance = likeliest(&noise)?;
         // The density is a parameter as well.
         let log_bayes_factor =
-            self.evidence(&[column], &weights, &added, variance, first)? - price(first.independent);
+            self.evidence(&[column], &weights, &added, variance, noise)? - price(noise.independent);
         // The first noise contains the walk within the joined increments.
         for _ in 0..MAX_REFINEMENTS {
-            let precision = self.fit.variance / variance;
-            let noise = self.noise_with(&[column], &weights, &added, precision)?;
+            let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
+            let precision = noise.variance / variance;
+            noise = self.noise_with(&fit, &[column], &weights, &added, precision)?;
             let previous = std::mem::replace(&mut variance, likeliest(&noise)?);
             if variance <= previous {
                 break;
@@ -269,7 +269,7 @@ impl<'a> ExtensionTests<'a> {
     /// Twice the log Bayes factor, and the variance of independent noise.
     fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
         let added = self.sums(columns, weights);
-        let noise = self.noise_with(columns, weights, &added, 0.0)?;
+        let noise = self.noise_with(&self.fit, columns, weights, &added, 0.0)?;
         let log_bayes_factor = self.evidence(columns, weights, &added, size.powi(2), noise)?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
     }
@@ -323,15 +323,16 @@ impl<'a> ExtensionTests<'a> {
     /// prior, times the variance of the noise.
     fn noise_with(
         &self,
+        fit: &BaseFit,
         columns: &[usize],
         weights: &[Vec<f64>],
         added: &Added,
         precision: f64,
     ) -> Option<IndependentNoise> {
-        let fit = self.fit.extend(added, precision)?;
-        let by_added = self.fit.cholesky.solve(&(&added.with_base * &fit.parameters));
-        let base = &self.fit.parameters - by_added;
-        Some(self.noise(&base, columns, weights, fit.parameters.as_slice()))
+        let extended = fit.extend(added, precision)?;
+        let by_added = fit.cholesky.solve(&(&added.with_base * &extended.parameters));
+        let base = &fit.parameters - by_added;
+        Some(self.noise(&base, columns, weights, extended.parameters.as_slice()))
     }
 
     fn noise(
@@ -426,7 +427,7 @@ impl BaseFit {
         let cholesky = ridged(matrix).cholesky()?;
         let parameters = cholesky.solve(&normal.right);
         let squares = normal.cost - normal.right.dot(&parameters);
-        Some(Self { cholesky, parameters, squares, variance })
+        Some(Self { cholesky, parameters, squares })
     }
 
     /// Fit with additional columns, with a prior precision times the noise variance.

@@ -193,8 +193,8 @@ impl Step {
         for _ in 0..2 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&step.weights, &columns, &mut normal);
-            let data = basis.tr_mul(&normal.matrix) * basis;
-            let matrix = without_noise(data, &step.noise(excited)) + &excited.prior;
+            // Without the design noise, a step would overshoot where a prior shares its direction.
+            let matrix = basis.tr_mul(&normal.matrix) * basis + &excited.prior;
             let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(normal.right + pull)));
             let weights = linear.weights_after(delta.as_slice());
             step = Self { delta, weights, independent: normal.independent };
