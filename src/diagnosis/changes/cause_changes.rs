@@ -128,7 +128,8 @@ impl<'a> Stream<'a> {
                 let joint = self.joints.iter().position(|own| *own == column)?;
                 let own = ZEROS + joint;
                 let step = later(change.step, self.latency_s());
-                (own < self.columns.variable()).then(|| StepOrDrift { step, columns: own..own + 1 })
+                let is_known = self.columns.zeros().contains(&own);
+                is_known.then(|| StepOrDrift { step, columns: own..own + 1 })
             }
             subject => (subject.stream() == Some(self.index))
                 .then(|| StepOrDrift { step: change.step, columns: change.columns.clone() }),
@@ -229,7 +230,7 @@ impl<'a> Stream<'a> {
         let chain = self.columns.chain;
         let dof = chain.dof();
         let mut aligned = self.found.aligned.clone();
-        for row in self.columns.samples() {
+        for row in self.columns.rows() {
             let t_s = aligned.t_s[row];
             aligned.corrected[row] =
                 self.steady_pose(&seen, Target::Middle, constant, &aligned.corrected[row], t_s);
@@ -451,9 +452,9 @@ impl RecordedJumps {
         }
     }
 
-    /// The jump that dates a step exactly, if there is one in its interval. If a step is dated late, a few samples keep its whole error.
-    fn date(&self, Change { subject, step, .. }: &mut Change) {
-        let Some(step) = step else { return };
+    /// Dates a step by the jump in its interval. If it is dated late, a few samples keep its whole error. Whether there is a jump.
+    fn date(&self, Change { subject, step, .. }: &mut Change) -> bool {
+        let Some(step) = step else { return false };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
         let is_within =
             |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
@@ -462,6 +463,7 @@ impl RecordedJumps {
         if let Some(&Jump { at_s, within_s, .. }) = strongest {
             *step = Jump { at_s, within_s, ..*step };
         }
+        strongest.is_some()
     }
 }
 
@@ -536,7 +538,14 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind) -> Vec<Ca
         let next = |stream: &Stream| stream.next_change(&current.changes, kind);
         let next = steady.iter().filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
         let Some((mut next, _)) = next else { break };
-        jumps.date(&mut next);
+        let is_recorded = jumps.date(&mut next);
+        // The joint states show a lost zero, and not a turn of the tool.
+        let is_last = |stream: &Stream| {
+            stream.seen(&next).is_some_and(|it| it.columns.start == stream.columns.last_zero())
+        };
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().any(is_last) {
+            break;
+        }
         current.changes.push(next);
         current = current.fitted(streams);
         found.push(current.clone());

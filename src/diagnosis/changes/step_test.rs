@@ -24,7 +24,7 @@ fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
         tool.rotation(),
         tool.columns(),
     ];
-    let others = (LATENCY..columns.variable()).map(|column| column..column + 1);
+    let others = (LATENCY..columns.zeros().end).map(|column| column..column + 1);
     frames.into_iter().chain(others).collect()
 }
 
@@ -58,9 +58,10 @@ pub(super) enum ChangeKind {
 impl ChangeKind {
     pub const ALL: [Self; 3] = [Self::Any, Self::Frames, Self::Zeros];
 
-    fn contains(self, cause: &Range<usize>) -> bool {
+    /// The last joint's zero competes with those of other joints, not with the tool, which it equals.
+    fn contains(self, cause: &Range<usize>, columns: &CauseColumns) -> bool {
         match self {
-            Self::Any => true,
+            Self::Any => cause.start != columns.last_zero(),
             Self::Frames => Frame::of(cause).is_some(),
             Self::Zeros => cause.start >= ZEROS,
         }
@@ -103,7 +104,7 @@ impl<'a> ScoreTest<'a> {
     }
 
     fn empty(&self) -> Sums {
-        let variable = self.columns.variable() + 1;
+        let variable = self.columns.last_zero() + 1;
         Sums {
             constant: DMatrix::zeros(variable, self.linear.width),
             square: DMatrix::zeros(variable, variable),
@@ -189,7 +190,7 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let (linear, fit) = columns.constant_fit();
     let weights = linear.weights_after(fit.as_slice());
     let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
-        test.causes.retain(|cause| cause.start >= ZEROS);
+        test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
         test.likeliest(|_| 1.0)
     });
     zero.is_some_and(|(_, score)| score > 0.0)
@@ -204,7 +205,7 @@ pub(super) fn likeliest_change(
     kind: ChangeKind,
 ) -> Option<Scored> {
     let mut test = ScoreTest::new(columns, linear, weights)?;
-    test.causes.retain(|cause| kind.contains(cause));
+    test.causes.retain(|cause| kind.contains(cause, columns));
     let rows: Vec<usize> = columns.samples().collect();
     let drift = (kind != ChangeKind::Zeros)
         .then(|| test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]])))
