@@ -15,7 +15,6 @@ use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
 use crate::residuals::comparison::{has_slow_residual, restore_recorded};
-use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
@@ -582,15 +581,8 @@ struct Removal {
     after: ArmDiagnosis,
 }
 
-/// Residual that constant causes and link deviations do not explain, rms m. Angles are weighted by 0.3 m.
 fn unexplained_m(streams: &[Stream]) -> f64 {
-    const LEVER_M: f64 = 0.3;
-    let of_stream = |stream: &Stream| {
-        let (linear, fit) = stream.columns.constant_fit();
-        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
-        m.hypot(LEVER_M * rad)
-    };
-    streams.iter().map(of_stream).sum()
+    streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
 }
 
 /// `None` if the unexplained residual does not fall.

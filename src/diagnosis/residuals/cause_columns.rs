@@ -8,6 +8,7 @@ use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
+use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
@@ -292,6 +293,14 @@ impl<'a> CauseColumns<'a> {
         let (linear, fit) = self.constant_fit();
         let residuals = linear.residuals_after(fit.as_slice());
         exceeds_noise(&residuals) || has_slow_means(residuals)
+    }
+
+    /// Residual that constant causes and link deviations leave, rms m. Angles are weighted by 0.3 m.
+    pub fn unexplained_m(&self) -> f64 {
+        const LEVER_M: f64 = 0.3;
+        let (linear, fit) = self.constant_fit();
+        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
+        m.hypot(LEVER_M * rad)
     }
 
     pub fn constant_fit(&self) -> (Linear, DVector<f64>) {
