@@ -165,14 +165,18 @@ impl<'a> Stream<'a> {
 
     /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
     /// the latency, is likelier.
-    fn next_change(&self, changes: &[Change], kind: ChangeKind) -> Option<(Change, f64)> {
+    fn next_change(
+        &self,
+        changes: &[Change],
+        linear: &Linear,
+        kind: ChangeKind,
+    ) -> Option<(Change, f64)> {
         if !has_slow_residual(self.found) {
             return None;
         }
         let seen: Vec<StepOrDrift> = changes.iter().filter_map(|it| self.seen(it)).collect();
-        let linear = self.linearize(&seen);
-        let weights = self.columns.local_weights(&linear);
-        let (next, score) = likeliest_change(&self.columns, &seen, (&linear, &weights), kind)?;
+        let weights = self.columns.local_weights(linear);
+        let (next, score) = likeliest_change(&self.columns, &seen, (linear, &weights), kind)?;
         Some((self.change(next)?, score))
     }
 
@@ -481,6 +485,12 @@ impl Candidate {
         pairs.map(|(stream, frames)| stream.without(&self.changes, frames)).collect()
     }
 
+    /// Whatever their amounts.
+    fn has_changes_of(&self, other: &Self) -> bool {
+        let key = |it: &Change| (it.subject, it.columns.clone(), it.step);
+        self.changes.iter().map(key).eq(other.changes.iter().map(key))
+    }
+
     /// Fits the amounts.
     fn fitted(mut self, streams: &[Stream]) -> Self {
         const GAUSS_NEWTON_STEPS: usize = 2;
@@ -525,18 +535,59 @@ fn likeliest(
     scored.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// Adds the likeliest change until none is likely. Returns each number of changes, from one. The search uses the noise within
+/// A candidate with the weights of its residuals.
+struct Fitted {
+    candidate: Candidate,
+    weights: Vec<Vec<Weight>>,
+    /// Of all residuals, m. Angles are weighted by 0.3 m.
+    sigma_m: f64,
+}
+
+impl Fitted {
+    /// Samples at a step do not count: their part of it is unknown.
+    fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
+        const LEVER_M: f64 = 0.3;
+        let mut sigma_m = 0.0;
+        let weights = |(stream, equations): (&Stream, &StreamEquations)| {
+            let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
+            let steps: Vec<Jump> = steps.collect();
+            let is_at = |t_s: f64| steps.iter().any(|it| (t_s - it.at_s).abs() <= it.within_s);
+            let mut weights = equations.weights.clone();
+            for (sample, row) in stream.columns.samples().enumerate() {
+                if is_at(stream.columns.aligned.t_s[row]) {
+                    weights.iter_mut().for_each(|weight| weight.leave_out(sample));
+                }
+            }
+            let [m, rad] = [0, 1].map(|kind: usize| weights[kind].noise.sigma);
+            sigma_m += m.hypot(LEVER_M * rad);
+            weights
+        };
+        let weights = steady.iter().zip(&equations.streams).map(weights).collect();
+        Self { candidate, weights, sigma_m }
+    }
+}
+
+/// Adds the likeliest change until none is likely, and each number of changes to `found`. The search uses the noise within
 /// tenths of the run, because the residual still contains the other changes.
-fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind) -> Vec<Candidate> {
+fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &mut Vec<Fitted>) {
     const MAX_CHANGES: usize = 4;
     let frames = vec![[[0.0; 6]; 2]; streams.len()];
     let mut current = Candidate { changes: Vec::new(), frames };
-    let mut found = Vec::new();
-    while current.changes.len() < MAX_CHANGES * streams.len() {
+    loop {
         let steady = current.steady(streams);
-        let next = |stream: &Stream| stream.next_change(&current.changes, kind);
-        let next = steady.iter().filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((mut next, _)) = next else { break };
+        let equations = Equations::new(&steady, &current.changes, None);
+        let count = current.changes.len();
+        if !found.iter().any(|it| it.candidate.has_changes_of(&current)) {
+            found.push(Fitted::new(current.clone(), &steady, &equations));
+        }
+        if count == MAX_CHANGES * streams.len() {
+            break;
+        }
+        let next = |(stream, equations): (&Stream, &StreamEquations)| {
+            stream.next_change(&current.changes, &equations.linear, kind)
+        };
+        let next = steady.iter().zip(&equations.streams).filter_map(next);
+        let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
         let is_last = |stream: &Stream| {
@@ -546,32 +597,12 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind) -> Vec<Ca
             break;
         }
         current.changes.push(next);
-        current = current.fitted(streams);
-        found.push(current.clone());
+        let known = found.iter().find(|it| it.candidate.has_changes_of(&current));
+        current = match known {
+            Some(known) => known.candidate.clone(),
+            None => current.fitted(streams),
+        };
     }
-    found
-}
-
-/// Weights from the candidate that leaves the smallest residual. With its own noise, a candidate that leaves a correlated
-/// residual would score less than one that leaves a larger white residual.
-fn noise(candidates: &[Candidate], streams: &[Stream]) -> Vec<Vec<Weight>> {
-    let with_noise = |candidate: &Candidate| {
-        let steady = candidate.steady(streams);
-        let mut equations = Equations::new(&steady, &candidate.changes, None).streams;
-        for (stream, StreamEquations { weights, .. }) in steady.iter().zip(&mut equations) {
-            let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
-            let steps: Vec<Jump> = steps.collect();
-            let is_at = |t_s: f64| steps.iter().any(|it| (t_s - it.at_s).abs() <= it.within_s);
-            for (sample, row) in stream.columns.samples().enumerate() {
-                if is_at(stream.columns.aligned.t_s[row]) {
-                    weights.iter_mut().for_each(|weight| weight.leave_out(sample));
-                }
-            }
-        }
-        (unexplained_m(&steady), equations.into_iter().map(|it| it.weights).collect())
-    };
-    let smallest = candidates.iter().map(with_noise).min_by(|a, b| a.0.total_cmp(&b.0));
-    smallest.map_or_else(Vec::new, |(_, weights)| weights)
 }
 
 /// Changes, and the diagnosis of the run without them.
@@ -796,15 +827,14 @@ pub(crate) fn diagnose_with_cause_changes(
     let streams = Stream::all(run, diagnosis);
     // One at a time, steps of several joints look like a frame, and a frame that returns looks like a joint.
     let jumps = RecordedJumps::new(run);
-    let searched = ChangeKind::ALL.into_iter().flat_map(|kind| search(&streams, &jumps, kind));
-    let searched: Vec<Candidate> = searched.collect();
-    if searched.is_empty() {
-        return None;
-    }
-    let noise = noise(&searched, &streams);
-    let none = Candidate { changes: Vec::new(), frames: vec![[[0.0; 6]; 2]; streams.len()] };
-    let all = std::iter::once(none).chain(searched);
-    let (mut changed, _) = likeliest(all, &streams, &noise)?;
+    let mut found = Vec::new();
+    ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
+    // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
+    // white residual.
+    let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;
+    let noise = smallest.weights.clone();
+    let candidates = found.into_iter().map(|it| it.candidate);
+    let (mut changed, _) = likeliest(candidates, &streams, &noise)?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;
     }

@@ -150,9 +150,11 @@ impl<'a> ScoreTest<'a> {
         gains
     }
 
+    /// `gains` are those of steps at these samples.
     fn likeliest_step(
         &self,
         samples: &[usize],
+        gains: &[Vec<f64>],
         found: &[(usize, &Range<usize>)],
     ) -> Option<Candidate> {
         let is_free = |of: usize, sample: usize| {
@@ -163,8 +165,9 @@ impl<'a> ScoreTest<'a> {
                 at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
             })
         };
-        let all = samples.iter().zip(self.gains_of_steps(samples)).flat_map(|(&sample, gains)| {
-            let scored = gains.into_iter().enumerate().filter(move |(of, _)| is_free(*of, sample));
+        let all = samples.iter().zip(gains).flat_map(|(&sample, gains)| {
+            let scored =
+                gains.iter().copied().enumerate().filter(move |(of, _)| is_free(*of, sample));
             // The time is a parameter, too.
             scored.map(move |(of, gain)| {
                 (of, sample, gain, gain - self.price * (self.causes[of].len() + 1) as f64)
@@ -224,22 +227,23 @@ fn likeliest_step<'a>(
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
     /// Between the samples tested first.
-    const STRIDE: usize = 4;
+    const STRIDE: usize = 16;
     let last = rows.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
     let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
     let t_s = |sample: usize| test.columns.aligned.t_s[rows[sample]];
     let sample_at = |at_s: f64| (0..rows.len()).find(|sample| t_s(*sample) >= at_s);
     let at = |it: &'a StepOrDrift| Some((sample_at(it.step?.at_s)?, &it.columns));
     let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
-    let (_, near, ..) = test.likeliest_step(&candidates, &found)?;
+    let gains = test.gains_of_steps(&candidates);
+    let (_, near, ..) = test.likeliest_step(&candidates, &gains, &found)?;
     let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
         .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
         .collect();
-    let (of, sample, gain, score) = test.likeliest_step(&around, &found)?;
+    let gains_around = test.gains_of_steps(&around);
+    let (of, sample, gain, score) = test.likeliest_step(&around, &gains_around, &found)?;
     let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
     let mut likely: Vec<usize> = Vec::new();
-    for tested in [candidates, around] {
-        let gains = test.gains_of_steps(&tested);
+    for (tested, gains) in [(candidates, gains), (around, gains_around)] {
         likely.extend(tested.iter().zip(gains).filter(|it| is_likely(&it.1)).map(|it| *it.0));
     }
     let (first, last) = (likely.iter().min()?, likely.iter().max()?);
