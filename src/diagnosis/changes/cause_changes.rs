@@ -429,6 +429,20 @@ impl Equations {
         }
     }
 
+    /// The change whose removal adds the least cost.
+    fn least_needed(&self, changes: &[Change]) -> Option<usize> {
+        let normal = self.normal();
+        let cost_without = |at: &usize| {
+            let own = &self.changes[*at];
+            let mut values = DVector::zeros(self.prior.nrows());
+            values.rows_mut(own.start, own.len()).copy_from(&changes[*at].half);
+            let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
+            normal.cost_after(&normal.step(&values, &others))
+        };
+        let costs = (0..changes.len()).map(|at| (at, cost_without(&at)));
+        costs.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at)
+    }
+
     /// Twice the log likelihood, minus the price of the changes.
     fn score(&self, changes: &[Change]) -> f64 {
         let normal = self.normal();
@@ -508,17 +522,16 @@ impl Candidate {
         Equations::new(&self.steady(streams), &self.changes, Some(noise)).score(&self.changes)
     }
 
-    /// Without one of the changes, if that is likelier: later ones can explain the residual of an earlier one.
+    /// Without the change that is needed least, if that is likelier: later ones can explain the residual of an earlier one.
     fn reduced(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> Option<Self> {
-        let without = |left_out: usize| {
-            let mut fewer = self.clone();
-            fewer.changes.remove(left_out);
-            fewer.fitted(streams)
-        };
-        let several = self.changes.len() > 1;
-        let fewer = (0..self.changes.len()).filter(|_| several).map(without);
-        let fewer = likeliest(fewer, streams, noise)?;
-        (fewer.1 > self.score(streams, noise)).then_some(fewer.0)
+        if self.changes.len() < 2 {
+            return None;
+        }
+        let equations = Equations::new(&self.steady(streams), &self.changes, Some(noise));
+        let mut fewer = self.clone();
+        fewer.changes.remove(equations.least_needed(&self.changes)?);
+        let fewer = fewer.fitted(streams);
+        (fewer.score(streams, noise) > equations.score(&self.changes)).then_some(fewer)
     }
 }
 
