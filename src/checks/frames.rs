@@ -106,7 +106,10 @@ fn judge_stream(
                 None => {
                     let mut fault = (end.fault)(arm, stream, frame, severity);
                     let zeros = confounders.iter().filter_map(|&(joint, _)| {
-                        let tolerance = (thresholds.length.warning, thresholds.angle.warning);
+                        let tolerance = (
+                            thresholds.length.warning.max(frame.translation_m.half_width(0.95)),
+                            thresholds.angle.warning.max(frame.rotation_rad.half_width(0.95)),
+                        );
                         let zero = (end.zero)(&stream.joint_axes, joint, &frame.pose, tolerance)?;
                         Some(joint_zero_alternative(arm, joint, zero))
                     });

@@ -26,6 +26,8 @@ rule! {
     /// - `from`, `to`, `change_ns` also if `frame_id` changes during the run and the poses are right under
     ///   only one of the names.
     ///
+    /// If the links deviate from the model (MDL001), the interval includes their effect.
+    ///
     /// ## How to fix
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///

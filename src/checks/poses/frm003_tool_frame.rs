@@ -26,6 +26,8 @@ rule! {
     /// `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and number of `samples`. All other
     /// rules use poses converted to the most frequent body.
     ///
+    /// If the links deviate from the model (MDL001), the interval includes their effect.
+    ///
     /// ## How to fix
     /// Set the controller's active TCP to the intended one, or name the stream's link with `--tip`.
     ///

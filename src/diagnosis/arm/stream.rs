@@ -5,6 +5,7 @@ use super::confounders::measured;
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::encodings::position::PositionEncodingEstimate;
+use crate::frames::beside_links::frames_beside_links;
 use crate::frames::constant_frames::{frame_estimate, with_frames_from_positions};
 use crate::latency::correlation::median_period_s;
 use crate::latency::delay_jitter::{DelayJitter, estimate_delay_jitter};
@@ -220,7 +221,7 @@ pub(super) fn stream_diagnosis(
         // Latency, offsets and frames are now corrected.
         encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
     }
-    PoseDiagnosis {
+    let found = PoseDiagnosis {
         encoding,
         length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
         axes: Ok(decoded.axes),
@@ -257,6 +258,17 @@ pub(super) fn stream_diagnosis(
         observability: Some(observability),
         top_speed_m_s: position_encoding.top_speed_m_s,
         aligned,
+    };
+    if !found.is_nominal {
+        return found;
+    }
+    let is_free = |cause: Cause| candidates.always.contains(&cause) || causes.contains(&cause);
+    let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
+    let [reference, tool] = frames_beside_links(&found, stream.chain, free);
+    PoseDiagnosis {
+        reference: reference.map_or(found.reference, Ok),
+        tool: tool.map_or(found.tool, Ok),
+        ..found
     }
 }
 

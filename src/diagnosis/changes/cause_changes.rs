@@ -15,7 +15,6 @@ use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
 use crate::residuals::comparison::{has_slow_residual, restore_recorded};
-use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
@@ -128,7 +127,8 @@ impl<'a> Stream<'a> {
                 let joint = self.joints.iter().position(|own| *own == column)?;
                 let own = ZEROS + joint;
                 let step = later(change.step, self.latency_s());
-                (own < self.columns.variable()).then(|| StepOrDrift { step, columns: own..own + 1 })
+                let is_known = self.columns.zeros().contains(&own);
+                is_known.then(|| StepOrDrift { step, columns: own..own + 1 })
             }
             subject => (subject.stream() == Some(self.index))
                 .then(|| StepOrDrift { step: change.step, columns: change.columns.clone() }),
@@ -165,14 +165,18 @@ impl<'a> Stream<'a> {
 
     /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
     /// the latency, is likelier.
-    fn next_change(&self, changes: &[Change], kind: ChangeKind) -> Option<(Change, f64)> {
+    fn next_change(
+        &self,
+        changes: &[Change],
+        linear: &Linear,
+        kind: ChangeKind,
+    ) -> Option<(Change, f64)> {
         if !has_slow_residual(self.found) {
             return None;
         }
         let seen: Vec<StepOrDrift> = changes.iter().filter_map(|it| self.seen(it)).collect();
-        let linear = self.linearize(&seen);
-        let weights = self.columns.local_weights(&linear);
-        let (next, score) = likeliest_change(&self.columns, &seen, (&linear, &weights), kind)?;
+        let weights = self.columns.local_weights(linear);
+        let (next, score) = likeliest_change(&self.columns, &seen, (linear, &weights), kind)?;
         Some((self.change(next)?, score))
     }
 
@@ -229,7 +233,7 @@ impl<'a> Stream<'a> {
         let chain = self.columns.chain;
         let dof = chain.dof();
         let mut aligned = self.found.aligned.clone();
-        for row in self.columns.samples() {
+        for row in self.columns.rows() {
             let t_s = aligned.t_s[row];
             aligned.corrected[row] =
                 self.steady_pose(&seen, Target::Middle, constant, &aligned.corrected[row], t_s);
@@ -328,8 +332,6 @@ struct Fit {
     /// What to add to the constant reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
     dof: f64,
-    /// Reduction of the cost beyond constant causes, minus the price of the changes.
-    score: f64,
 }
 
 /// Equations of several changes and the constant causes of all streams. The constant causes of each stream
@@ -350,8 +352,9 @@ struct StreamEquations {
 }
 
 impl Equations {
-    /// `streams` are without the changes so far.
-    fn new(streams: &[Stream], changes: &[Change]) -> Self {
+    /// `streams` are without the changes so far. `noise` gives the weights of each stream's samples; without it, they are
+    /// from the residuals.
+    fn new(streams: &[Stream], changes: &[Change], noise: Option<&[Vec<Weight>]>) -> Self {
         let constant: usize = streams.iter().map(|stream| stream.columns.constant()).sum();
         let mut width = constant;
         let of_change = |change: &Change| {
@@ -361,20 +364,23 @@ impl Equations {
         let of_changes: Vec<Range<usize>> = changes.iter().map(of_change).collect();
         let mut prior = DMatrix::zeros(width, width);
         let mut start = 0;
-        let equations = |stream: &Stream| {
+        let equations = |(index, stream): (usize, &Stream)| {
             let seen = changes.iter().zip(&of_changes);
             let seen = seen.filter_map(|(change, at)| Some((stream.seen(change)?, at.clone())));
             let (seen, seen_at): (Vec<StepOrDrift>, Vec<Range<usize>>) = seen.unzip();
             let linear = stream.linearize(&seen);
-            let first = stream.columns.fit(&linear, &linear.first_weights());
-            let weights = linear.weights_after(first.as_slice());
+            let of_residuals = || {
+                let first = stream.columns.fit(&linear, &linear.first_weights());
+                linear.weights_after(first.as_slice())
+            };
+            let weights = noise.map_or_else(of_residuals, |noise| noise[index].clone());
             let own = stream.columns.constant();
             prior.view_mut((start, start), (own, own)).copy_from(&stream.columns.prior());
             start += own;
             let parameters = (start - own..start).chain(seen_at.into_iter().flatten()).collect();
             StreamEquations { linear, weights, parameters }
         };
-        let streams = streams.iter().map(equations).collect();
+        let streams = streams.iter().enumerate().map(equations).collect();
         Self { streams, changes: of_changes, prior }
     }
 
@@ -393,32 +399,21 @@ impl Equations {
         };
         self.changes.iter().map(own).collect()
     }
-}
 
-impl Fit {
-    /// `streams` are without the changes so far.
-    fn new(streams: &[Stream], changes: &[Change]) -> Self {
-        Self::of(&Equations::new(streams, changes), streams, changes)
-    }
-
-    fn of(equations: &Equations, streams: &[Stream], changes: &[Change]) -> Self {
-        let width = equations.prior.nrows();
-        let mut normal = Normal::zeros(width);
-        for StreamEquations { linear, weights, parameters } in &equations.streams {
+    fn normal(&self) -> Normal {
+        let mut normal = Normal::zeros(self.prior.nrows());
+        for StreamEquations { linear, weights, parameters } in &self.streams {
             linear.accumulate(weights, parameters, &mut normal);
         }
-        normal.matrix += &equations.prior;
+        normal.matrix += &self.prior;
+        normal
+    }
+
+    fn fit(&self, streams: &[Stream]) -> Fit {
+        let normal = self.normal();
+        let width = self.prior.nrows();
         let all: Vec<usize> = (0..width).collect();
-        let constant = width - changes.iter().map(|change| change.columns.len()).sum::<usize>();
-        let none = DVector::zeros(width);
-        let step = normal.step(&none, &all);
-        let mut values = none;
-        for (own, change) in equations.changes.iter().zip(changes) {
-            values.rows_mut(own.start, own.len()).copy_from(&change.half);
-        }
-        let without = normal.step(&values, &all[..constant]);
-        let times = changes.iter().filter(|change| change.step.is_some()).count();
-        let price = price(normal.independent) * (width - constant + times) as f64;
+        let step = normal.step(&DVector::zeros(width), &all);
         let half = |own: &Range<usize>| step.rows(own.start, own.len()).into_owned();
         let twist = |first: usize| std::array::from_fn(|i| step[first + i]);
         let mut start = 0;
@@ -427,12 +422,35 @@ impl Fit {
             start += stream.columns.constant();
             [twist(first), twist(first + 6)]
         });
-        Self {
+        Fit {
             frames: frames.collect(),
-            halves: equations.changes.iter().map(half).collect(),
+            halves: self.changes.iter().map(half).collect(),
             dof: (normal.independent - width as f64).max(3.0),
-            score: normal.cost_after(&without) - normal.cost_after(&step) - price,
         }
+    }
+
+    /// The change whose removal adds the least cost.
+    fn least_needed(&self, changes: &[Change]) -> Option<usize> {
+        let normal = self.normal();
+        let cost_without = |at: &usize| {
+            let own = &self.changes[*at];
+            let mut values = DVector::zeros(self.prior.nrows());
+            values.rows_mut(own.start, own.len()).copy_from(&changes[*at].half);
+            let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
+            normal.cost_after(&normal.step(&values, &others))
+        };
+        let costs = (0..changes.len()).map(|at| (at, cost_without(&at)));
+        costs.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at)
+    }
+
+    /// Twice the log likelihood, minus the price of the changes.
+    fn score(&self, changes: &[Change]) -> f64 {
+        let normal = self.normal();
+        let all: Vec<usize> = (0..self.prior.nrows()).collect();
+        let step = normal.step(&DVector::zeros(all.len()), &all);
+        let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
+        let times = changes.iter().filter(|change| change.step.is_some()).count();
+        -normal.cost_after(&step) - price(normal.independent) * (parameters + times) as f64
     }
 }
 
@@ -451,9 +469,9 @@ impl RecordedJumps {
         }
     }
 
-    /// The jump that dates a step exactly, if there is one in its interval. If a step is dated late, a few samples keep its whole error.
-    fn date(&self, Change { subject, step, .. }: &mut Change) {
-        let Some(step) = step else { return };
+    /// Dates a step by the jump in its interval. If it is dated late, a few samples keep its whole error. Whether there is a jump.
+    fn date(&self, Change { subject, step, .. }: &mut Change) -> bool {
+        let Some(step) = step else { return false };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
         let is_within =
             |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
@@ -462,6 +480,7 @@ impl RecordedJumps {
         if let Some(&Jump { at_s, within_s, .. }) = strongest {
             *step = Jump { at_s, within_s, ..*step };
         }
+        strongest.is_some()
     }
 }
 
@@ -471,7 +490,6 @@ struct Candidate {
     changes: Vec<Change>,
     /// Constant changes of the reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
-    score: f64,
 }
 
 impl Candidate {
@@ -481,57 +499,123 @@ impl Candidate {
         pairs.map(|(stream, frames)| stream.without(&self.changes, frames)).collect()
     }
 
+    /// Whatever their amounts.
+    fn has_changes_of(&self, other: &Self) -> bool {
+        let key = |it: &Change| (it.subject, it.columns.clone(), it.step);
+        self.changes.iter().map(key).eq(other.changes.iter().map(key))
+    }
+
     /// Fits the amounts.
     fn fitted(mut self, streams: &[Stream]) -> Self {
         const GAUSS_NEWTON_STEPS: usize = 2;
         for _ in 0..GAUSS_NEWTON_STEPS {
-            let fit = Fit::new(&self.steady(streams), &self.changes);
+            let steady = self.steady(streams);
+            let fit = Equations::new(&steady, &self.changes, None).fit(&steady);
             self.changes.iter_mut().zip(&fit.halves).for_each(|(it, more)| it.half += more);
             let all = self.frames.iter_mut().flatten().flatten();
             all.zip(fit.frames.iter().flatten().flatten()).for_each(|(it, more)| *it += more);
         }
-        self.score = Fit::new(&self.steady(streams), &self.changes).score;
         self
     }
 
-    /// Drops changes while that is likelier: later ones can explain the residual of an earlier one.
-    fn reduced(mut self, streams: &[Stream]) -> Self {
-        while self.changes.len() > 1 {
-            let without = |left_out: usize| {
-                let mut fewer = self.clone();
-                fewer.changes.remove(left_out);
-                fewer.fitted(streams)
-            };
-            let fewer = (0..self.changes.len()).map(without);
-            match fewer.max_by(|a, b| a.score.total_cmp(&b.score)) {
-                Some(fewer) if fewer.score > self.score => self = fewer,
-                _ => break,
-            }
+    fn score(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> f64 {
+        Equations::new(&self.steady(streams), &self.changes, Some(noise)).score(&self.changes)
+    }
+
+    /// Without the change that is needed least, if that is likelier: later ones can explain the residual of an earlier one.
+    fn reduced(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> Option<Self> {
+        if self.changes.len() < 2 {
+            return None;
         }
-        self
+        let equations = Equations::new(&self.steady(streams), &self.changes, Some(noise));
+        let mut fewer = self.clone();
+        fewer.changes.remove(equations.least_needed(&self.changes)?);
+        let fewer = fewer.fitted(streams);
+        (fewer.score(streams, noise) > equations.score(&self.changes)).then_some(fewer)
     }
 }
 
-/// Adds the likeliest change until none is likely, and returns the likeliest number of them. The search uses the noise within
+/// With its score.
+fn likeliest(
+    candidates: impl Iterator<Item = Candidate>,
+    streams: &[Stream],
+    noise: &[Vec<Weight>],
+) -> Option<(Candidate, f64)> {
+    let scored = candidates.map(|candidate| {
+        let score = candidate.score(streams, noise);
+        (candidate, score)
+    });
+    scored.max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// A candidate with the weights of its residuals.
+struct Fitted {
+    candidate: Candidate,
+    weights: Vec<Vec<Weight>>,
+    /// Of all residuals, m. Angles are weighted by 0.3 m.
+    sigma_m: f64,
+}
+
+impl Fitted {
+    /// Samples at a step do not count: their part of it is unknown.
+    fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
+        const LEVER_M: f64 = 0.3;
+        let mut sigma_m = 0.0;
+        let weights = |(stream, equations): (&Stream, &StreamEquations)| {
+            let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
+            let steps: Vec<Jump> = steps.collect();
+            let is_at = |t_s: f64| steps.iter().any(|it| (t_s - it.at_s).abs() <= it.within_s);
+            let mut weights = equations.weights.clone();
+            for (sample, row) in stream.columns.samples().enumerate() {
+                if is_at(stream.columns.aligned.t_s[row]) {
+                    weights.iter_mut().for_each(|weight| weight.leave_out(sample));
+                }
+            }
+            let [m, rad] = [0, 1].map(|kind: usize| weights[kind].noise.sigma);
+            sigma_m += m.hypot(LEVER_M * rad);
+            weights
+        };
+        let weights = steady.iter().zip(&equations.streams).map(weights).collect();
+        Self { candidate, weights, sigma_m }
+    }
+}
+
+/// Adds the likeliest change until none is likely, and each number of changes to `found`. The search uses the noise within
 /// tenths of the run, because the residual still contains the other changes.
-fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind) -> Candidate {
+fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &mut Vec<Fitted>) {
     const MAX_CHANGES: usize = 4;
     let frames = vec![[[0.0; 6]; 2]; streams.len()];
-    let mut current = Candidate { changes: Vec::new(), frames, score: 0.0 };
-    let mut likeliest = current.clone();
-    while current.changes.len() < MAX_CHANGES * streams.len() {
+    let mut current = Candidate { changes: Vec::new(), frames };
+    loop {
         let steady = current.steady(streams);
-        let next = |stream: &Stream| stream.next_change(&current.changes, kind);
-        let next = steady.iter().filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((mut next, _)) = next else { break };
-        jumps.date(&mut next);
-        current.changes.push(next);
-        current = current.fitted(streams);
-        if current.score > likeliest.score {
-            likeliest = current.clone();
+        let equations = Equations::new(&steady, &current.changes, None);
+        let count = current.changes.len();
+        if !found.iter().any(|it| it.candidate.has_changes_of(&current)) {
+            found.push(Fitted::new(current.clone(), &steady, &equations));
         }
+        if count == MAX_CHANGES * streams.len() {
+            break;
+        }
+        let next = |(stream, equations): (&Stream, &StreamEquations)| {
+            stream.next_change(&current.changes, &equations.linear, kind)
+        };
+        let next = steady.iter().zip(&equations.streams).filter_map(next);
+        let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        let is_recorded = jumps.date(&mut next);
+        // The joint states show a lost zero, and not a turn of the tool.
+        let is_last = |stream: &Stream| {
+            stream.seen(&next).is_some_and(|it| it.columns.start == stream.columns.last_zero())
+        };
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().any(is_last) {
+            break;
+        }
+        current.changes.push(next);
+        let known = found.iter().find(|it| it.candidate.has_changes_of(&current));
+        current = match known {
+            Some(known) => known.candidate.clone(),
+            None => current.fitted(streams),
+        };
     }
-    likeliest
 }
 
 /// Changes, and the diagnosis of the run without them.
@@ -541,15 +625,8 @@ struct Removal {
     after: ArmDiagnosis,
 }
 
-/// Residual that constant causes and link deviations do not explain, rms m. Angles are weighted by 0.3 m.
 fn unexplained_m(streams: &[Stream]) -> f64 {
-    const LEVER_M: f64 = 0.3;
-    let of_stream = |stream: &Stream| {
-        let (linear, fit) = stream.columns.constant_fit();
-        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
-        m.hypot(LEVER_M * rad)
-    };
-    streams.iter().map(of_stream).sum()
+    streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
 }
 
 /// `None` if the unexplained residual does not fall.
@@ -579,7 +656,7 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
             break;
         }
         more.iter_mut().for_each(|change| change.half.fill(0.0));
-        let halves = Fit::new(&steady, &more).halves;
+        let halves = Equations::new(&steady, &more, None).fit(&steady).halves;
         more.iter_mut().zip(halves).for_each(|(change, half)| change.half = half);
         removal = Some(Removal { changes: changes.clone(), patches, after });
         let norm = |changes: &[Change]| -> f64 {
@@ -593,8 +670,8 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Opti
     removal
 }
 
-/// Spans between steps of a joint's zero, each with the offset to the zero of the longest span.
-fn zero_spans(run: &ArmRun, changes: &[Change], column: usize) -> Vec<JointPatch> {
+/// Spans between steps of a joint's zero, each with the offset to the zero of the first: it is lost later.
+fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
     let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
     let mut steps: Vec<(f64, f64)> =
         own.filter_map(|change| Some((change.step?.at_s, 2.0 * change.half[0]))).collect();
@@ -606,16 +683,12 @@ fn zero_spans(run: &ArmRun, changes: &[Change], column: usize) -> Vec<JointPatch
         offset += step;
         JointPatch { column, exchanged_with: None, from_s, to_s, factor: 1.0, offset }
     };
-    let mut spans: Vec<JointPatch> = starts.zip(ends).map(span).collect();
-    let rows = |span: &&JointPatch| span.rows(&run.joints.t_s).len();
-    let usual = spans.iter().max_by_key(rows).map_or(0.0, |longest| longest.offset);
-    spans.iter_mut().for_each(|span| span.offset -= usual);
-    spans
+    starts.zip(ends).map(span).collect()
 }
 
-/// Corrects joint zeros to the zero of the longest span.
+/// Corrects joint zeros to the first one.
 fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
-    let spans = (0..run.joints.dof).flat_map(|column| zero_spans(run, changes, column));
+    let spans = (0..run.joints.dof).flat_map(|column| zero_spans(changes, column));
     spans.filter(|span| span.offset != 0.0).collect()
 }
 
@@ -634,8 +707,8 @@ impl Removal {
         if !are_floating(run.streams) && !streams.iter().all(is_explained) {
             return None;
         }
-        let equations = Equations::new(&streams, &changes);
-        let Fit { dof, .. } = Fit::of(&equations, &streams, &changes);
+        let equations = Equations::new(&streams, &changes, None);
+        let Fit { dof, .. } = equations.fit(&streams);
         let covariances = equations.covariances();
         for (change, covariance) in changes.iter().zip(&covariances) {
             let std_error = 2.0 * covariance[(0, 0)].sqrt();
@@ -675,7 +748,7 @@ impl Removal {
                     size.value.abs() > size.half_width(0.95)
                 }
                 Subject::Zero { column } => {
-                    let zero = report_zero(run, change, column, size, &changes, &found)?;
+                    let zero = report_zero(change, column, size, &changes, &found)?;
                     after.joints.changes.push(JointChange {
                         column,
                         zero: Some(zero),
@@ -709,7 +782,6 @@ impl Removal {
 }
 
 fn report_zero(
-    run: &ArmRun,
     change: &Change,
     column: usize,
     size: Measured,
@@ -717,7 +789,7 @@ fn report_zero(
     found: &ArmDiagnosis,
 ) -> Option<ScalarChange> {
     let step = change.step?;
-    let spans = zero_spans(run, all, column);
+    let spans = zero_spans(all, column);
     let offset = |is_next: &dyn Fn(&&JointPatch) -> bool| {
         spans.iter().find(is_next).map_or(0.0, |span| span.offset)
     };
@@ -768,13 +840,21 @@ pub(crate) fn diagnose_with_cause_changes(
     let streams = Stream::all(run, diagnosis);
     // One at a time, steps of several joints look like a frame, and a frame that returns looks like a joint.
     let jumps = RecordedJumps::new(run);
-    let searched = ChangeKind::ALL.map(|kind| search(&streams, &jumps, kind));
-    let likeliest = searched.into_iter().max_by(|a, b| a.score.total_cmp(&b.score))?;
-    let changes = likeliest.reduced(&streams).changes;
-    if changes.is_empty() {
+    let mut found = Vec::new();
+    ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
+    // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
+    // white residual.
+    let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;
+    let noise = smallest.weights.clone();
+    let candidates = found.into_iter().map(|it| it.candidate);
+    let (mut changed, _) = likeliest(candidates, &streams, &noise)?;
+    while let Some(fewer) = changed.reduced(&streams, &noise) {
+        changed = fewer;
+    }
+    if changed.changes.is_empty() {
         return None;
     }
-    remove(run, diagnosis, changes)?.reported(run, diagnosis)
+    remove(run, diagnosis, changed.changes)?.reported(run, diagnosis)
 }
 
 #[cfg(test)]

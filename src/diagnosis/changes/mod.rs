@@ -8,6 +8,7 @@ mod change_points;
 mod constant_frames;
 mod encoding_changes;
 mod jumps;
+mod latency_steps;
 mod patches;
 mod split_run;
 mod step_test;
@@ -23,6 +24,7 @@ pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use encoding_changes::{
     diagnose_with_encoding_changes, diagnose_with_recorded_encoding_changes,
 };
+pub(super) use latency_steps::latency_steps;
 use step_test::has_unusual_zero;
 
 /// Whether usual link deviations and constant frames explain the residual of a stream.

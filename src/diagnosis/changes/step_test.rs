@@ -24,7 +24,7 @@ fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
         tool.rotation(),
         tool.columns(),
     ];
-    let others = (LATENCY..columns.variable()).map(|column| column..column + 1);
+    let others = (LATENCY..columns.zeros().end).map(|column| column..column + 1);
     frames.into_iter().chain(others).collect()
 }
 
@@ -58,9 +58,10 @@ pub(super) enum ChangeKind {
 impl ChangeKind {
     pub const ALL: [Self; 3] = [Self::Any, Self::Frames, Self::Zeros];
 
-    fn contains(self, cause: &Range<usize>) -> bool {
+    /// The last joint's zero competes with those of other joints, not with the tool, which it equals.
+    fn contains(self, cause: &Range<usize>, columns: &CauseColumns) -> bool {
         match self {
-            Self::Any => true,
+            Self::Any => cause.start != columns.last_zero(),
             Self::Frames => Frame::of(cause).is_some(),
             Self::Zeros => cause.start >= ZEROS,
         }
@@ -103,7 +104,7 @@ impl<'a> ScoreTest<'a> {
     }
 
     fn empty(&self) -> Sums {
-        let variable = self.columns.variable() + 1;
+        let variable = self.columns.last_zero() + 1;
         Sums {
             constant: DMatrix::zeros(variable, self.linear.width),
             square: DMatrix::zeros(variable, variable),
@@ -149,9 +150,11 @@ impl<'a> ScoreTest<'a> {
         gains
     }
 
+    /// `gains` are those of steps at these samples.
     fn likeliest_step(
         &self,
         samples: &[usize],
+        gains: &[Vec<f64>],
         found: &[(usize, &Range<usize>)],
     ) -> Option<Candidate> {
         let is_free = |of: usize, sample: usize| {
@@ -162,8 +165,9 @@ impl<'a> ScoreTest<'a> {
                 at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
             })
         };
-        let all = samples.iter().zip(self.gains_of_steps(samples)).flat_map(|(&sample, gains)| {
-            let scored = gains.into_iter().enumerate().filter(move |(of, _)| is_free(*of, sample));
+        let all = samples.iter().zip(gains).flat_map(|(&sample, gains)| {
+            let scored =
+                gains.iter().copied().enumerate().filter(move |(of, _)| is_free(*of, sample));
             // The time is a parameter, too.
             scored.map(move |(of, gain)| {
                 (of, sample, gain, gain - self.price * (self.causes[of].len() + 1) as f64)
@@ -189,7 +193,7 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let (linear, fit) = columns.constant_fit();
     let weights = linear.weights_after(fit.as_slice());
     let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
-        test.causes.retain(|cause| cause.start >= ZEROS);
+        test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
         test.likeliest(|_| 1.0)
     });
     zero.is_some_and(|(_, score)| score > 0.0)
@@ -204,7 +208,7 @@ pub(super) fn likeliest_change(
     kind: ChangeKind,
 ) -> Option<Scored> {
     let mut test = ScoreTest::new(columns, linear, weights)?;
-    test.causes.retain(|cause| kind.contains(cause));
+    test.causes.retain(|cause| kind.contains(cause, columns));
     let rows: Vec<usize> = columns.samples().collect();
     let drift = (kind != ChangeKind::Zeros)
         .then(|| test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]])))
@@ -223,22 +227,23 @@ fn likeliest_step<'a>(
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
     /// Between the samples tested first.
-    const STRIDE: usize = 4;
+    const STRIDE: usize = 16;
     let last = rows.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
     let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
     let t_s = |sample: usize| test.columns.aligned.t_s[rows[sample]];
     let sample_at = |at_s: f64| (0..rows.len()).find(|sample| t_s(*sample) >= at_s);
     let at = |it: &'a StepOrDrift| Some((sample_at(it.step?.at_s)?, &it.columns));
     let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
-    let (_, near, ..) = test.likeliest_step(&candidates, &found)?;
+    let gains = test.gains_of_steps(&candidates);
+    let (_, near, ..) = test.likeliest_step(&candidates, &gains, &found)?;
     let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
         .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
         .collect();
-    let (of, sample, gain, score) = test.likeliest_step(&around, &found)?;
+    let gains_around = test.gains_of_steps(&around);
+    let (of, sample, gain, score) = test.likeliest_step(&around, &gains_around, &found)?;
     let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
     let mut likely: Vec<usize> = Vec::new();
-    for tested in [candidates, around] {
-        let gains = test.gains_of_steps(&tested);
+    for (tested, gains) in [(candidates, gains), (around, gains_around)] {
         likely.extend(tested.iter().zip(gains).filter(|it| is_likely(&it.1)).map(|it| *it.0));
     }
     let (first, last) = (likely.iter().min()?, likely.iter().max()?);

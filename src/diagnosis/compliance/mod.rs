@@ -52,7 +52,7 @@ impl StreamSamples<'_> {
     /// Joint of the chain with this column of the track.
     fn joint(&self, column: usize) -> Option<usize> {
         let joint = self.joints.iter().position(|own| *own == column)?;
-        (ZEROS + joint <= self.columns.variable()).then_some(joint)
+        self.columns.zeros().contains(&(ZEROS + joint)).then_some(joint)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Constant frame errors, tool switching and moving bases.
 
+pub(crate) mod beside_links;
 pub(crate) mod constant_frames;
 pub(crate) mod moving_base;
 pub(crate) mod position_fit;

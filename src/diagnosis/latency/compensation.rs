@@ -2,12 +2,14 @@
 
 use crate::arm::diagnose_arm;
 use crate::arm_run::ArmRun;
+use crate::changes::latency_steps;
 use crate::imu::diagnose_converted_imu;
+use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::residual_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
-    detect_pose_latency_changes,
+    JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
+    detect_imu_latency_changes, detect_pose_latency_changes,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
@@ -79,6 +81,13 @@ impl CompensatedRun {
             }
             diagnosis = diagnose_without(&changes);
         }
+        if changes.iter().all(Option::is_none)
+            && let Some(profiles) = steps_beside_links(run, &diagnosis)
+        {
+            for (found, profile) in diagnosis.streams.iter_mut().zip(profiles) {
+                found.latency_profile = profile.map_or(found.latency_profile.clone(), Ok);
+            }
+        }
         let steps: Vec<_> = changes
             .iter()
             .map(|change| change.as_ref().and_then(CoarseLatencyChange::steps))
@@ -139,6 +148,38 @@ impl CompensatedRun {
         }
         Self { tracks, profiles, diagnosis: compensated }
     }
+}
+
+/// Profiles of streams whose latency steps, if no other profile was found and these are likelier than constant latencies.
+fn steps_beside_links(
+    run: &ArmRun,
+    constant: &ArmDiagnosis,
+) -> Option<Vec<Option<LatencyProfile>>> {
+    let is_unsteady =
+        |found: &PoseDiagnosis| found.latency_profile.as_ref().is_ok_and(|it| it.is_unsteady);
+    if constant.streams.iter().any(is_unsteady) {
+        return None;
+    }
+    let both = || constant.streams.iter().zip(run.streams);
+    let profiles: Vec<Option<LatencyProfile>> =
+        both().map(|(found, stream)| latency_steps(found, stream.chain)).collect();
+    let tracks: Vec<Option<PoseTrack>> = profiles
+        .iter()
+        .zip(run.streams)
+        .map(|(profile, stream)| {
+            let rows = profile.as_ref()?.compensated(&stream.track.t_s);
+            Some(with_stamps(stream.track, &rows))
+        })
+        .collect();
+    if tracks.iter().all(Option::is_none) {
+        return None;
+    }
+    let stepped = diagnose_arm(run.joints, &with_tracks(run.streams, &tracks), run.max_lag_s);
+    let unexplained_m = |diagnosis: &ArmDiagnosis| -> f64 {
+        let streams = diagnosis.streams.iter().zip(run.streams);
+        streams.map(|(found, stream)| CauseColumns::new(found, stream.chain).unexplained_m()).sum()
+    };
+    (unexplained_m(&stepped) < unexplained_m(constant)).then_some(profiles)
 }
 
 /// Refines a ramp with the profile of the compensated stream. If that is constant, the speeds differ for

@@ -82,7 +82,7 @@ pub struct LatencyStep {
 }
 
 /// Size of the largest step.
-fn largest(steps: &[LatencyStep]) -> Option<Measured> {
+pub(crate) fn largest(steps: &[LatencyStep]) -> Option<Measured> {
     let size = |step: &&LatencyStep| step.size_s.value.abs();
     Some(steps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s)
 }

@@ -8,6 +8,7 @@ use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
+use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
@@ -68,12 +69,14 @@ pub(crate) struct VariableColumns {
 pub(crate) struct CauseColumns<'a> {
     pub aligned: Cow<'a, AlignedSamples>,
     pub chain: &'a Chain,
+    /// Joints whose positions are known.
+    joints: usize,
     /// Links before the last, whose deviation is a tool, and joints before the last, whose zero is one.
     links: usize,
     /// Of all joints, in the frames of their links.
     axes: Vec<Vec3>,
     /// Turn of the tool that equals one of the last joint.
-    last_zero: [f64; 6],
+    zero_as_tool: [f64; 6],
     has_rotation: bool,
     /// The reference turns about it, in the base.
     pub centre: Vec3,
@@ -86,12 +89,23 @@ impl<'a> CauseColumns<'a> {
         let aligned = Cow::Borrowed(&diagnosis.aligned);
         let sum: Vec3 = aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).sum();
         let centre = sum / aligned.fk_at_truth.len().max(1) as f64;
-        let has_links = !chain.is_floating() && !aligned.q_at_truth.is_empty();
-        let links = if has_links { chain.dof().saturating_sub(1) } else { 0 };
+        let has_joints = !chain.is_floating() && !aligned.q_at_truth.is_empty();
+        let joints = if has_joints { chain.dof() } else { 0 };
+        let links = joints.saturating_sub(1);
         let axes = chain.joint_axes();
-        let last_zero = if has_links { zero_as_tool(chain, &axes) } else { [0.0; 6] };
+        let zero_as_tool = if has_joints { zero_as_tool(chain, &axes) } else { [0.0; 6] };
         let has_rotation = diagnosis.encoding.is_ok();
-        Self { aligned, chain, links, axes, last_zero, has_rotation, centre, has_free_zeros: false }
+        Self {
+            aligned,
+            chain,
+            joints,
+            links,
+            axes,
+            zero_as_tool,
+            has_rotation,
+            centre,
+            has_free_zeros: false,
+        }
     }
 
     /// For tests of changes: constant joint zeros of any size are no changes.
@@ -105,9 +119,14 @@ impl<'a> CauseColumns<'a> {
         CAUSES + 6 * joint + if is_rotary { 3 } else { 0 }
     }
 
-    /// Number of variable columns, without the last joint's zero.
-    pub fn variable(&self) -> usize {
+    /// Variable column of the last joint's zero, which equals a turn of the tool.
+    pub fn last_zero(&self) -> usize {
         ZEROS + self.links
+    }
+
+    /// Variable columns of all joint zeros.
+    pub fn zeros(&self) -> Range<usize> {
+        ZEROS..ZEROS + self.joints
     }
 
     /// Derivatives by the variable columns, from those by the constant ones in a row. The last is the last joint's zero.
@@ -115,12 +134,12 @@ impl<'a> CauseColumns<'a> {
         let along = |axis: &[f64], derivatives: &[f64]| -> f64 {
             axis.iter().zip(derivatives).map(|(axis, value)| axis * value).sum()
         };
-        DVector::from_fn(self.variable() + 1, |column, _| match column.checked_sub(ZEROS) {
+        DVector::from_fn(self.last_zero() + 1, |column, _| match column.checked_sub(ZEROS) {
             None => row[column],
             Some(joint) if joint < self.links => {
                 along(self.axes[joint].as_slice(), &row[self.axis_column(joint)..])
             }
-            Some(_) => along(&self.last_zero, &row[Frame::Tool.columns()]),
+            Some(_) => along(&self.zero_as_tool, &row[Frame::Tool.columns()]),
         })
     }
 
@@ -162,9 +181,19 @@ impl<'a> CauseColumns<'a> {
 
     /// Rows of up to about 2000 samples.
     pub fn samples(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.aligned.t_s.len()).step_by(self.stride())
+    }
+
+    fn stride(&self) -> usize {
         const MAX_SAMPLES: usize = 2000;
-        let all = self.aligned.t_s.len();
-        (0..all).step_by(all.div_ceil(MAX_SAMPLES).max(1))
+        self.aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1)
+    }
+
+    /// Rows of the samples and their neighbours, which give the velocities.
+    pub fn rows(&self) -> impl Iterator<Item = usize> + '_ {
+        let stride = self.stride();
+        (0..self.aligned.t_s.len())
+            .filter(move |row| row % stride <= 1 || row % stride == stride - 1)
     }
 
     /// From −1 at the first sample to 1 at the last.
@@ -264,6 +293,14 @@ impl<'a> CauseColumns<'a> {
         let (linear, fit) = self.constant_fit();
         let residuals = linear.residuals_after(fit.as_slice());
         exceeds_noise(&residuals) || has_slow_means(residuals)
+    }
+
+    /// Residual that constant causes and link deviations leave, rms m. Angles are weighted by 0.3 m.
+    pub fn unexplained_m(&self) -> f64 {
+        const LEVER_M: f64 = 0.3;
+        let (linear, fit) = self.constant_fit();
+        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
+        m.hypot(LEVER_M * rad)
     }
 
     pub fn constant_fit(&self) -> (Linear, DVector<f64>) {

@@ -75,10 +75,17 @@ impl Rows<'_> {
     }
 }
 
+#[derive(Clone)]
 pub(crate) struct Weight {
     pub noise: Noise,
     /// Huber weights, 0 to 1.
     robust: Vec<f64>,
+}
+
+impl Weight {
+    pub fn leave_out(&mut self, sample: usize) {
+        self.robust[sample] = 0.0;
+    }
 }
 
 impl Linear {

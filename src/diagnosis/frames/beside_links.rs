@@ -1,0 +1,114 @@
+//! Frames of an arm whose links deviate from its model.
+//!
+//! A fit without link deviations moves the frames until they explain a part of the deviations. So once the causes are
+//! selected, the chosen frames are estimated again, together with link deviations within their prior. Frames that are not
+//! chosen only deviate like links.
+
+use crate::model::measurement::{pose_of_twist, twist_of};
+use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
+use crate::residuals::cause_columns::{CauseColumns, Frame};
+use crate::{FrameEstimate, PoseDiagnosis};
+use ground::geometry::{Pose, Vec3};
+use ground::robot::Chain;
+use ground::stats::MeasuredLength;
+use nalgebra::DMatrix;
+
+/// The reference and the tool of `found`, beside link deviations. `None` unless the frame is `free`.
+pub(crate) fn frames_beside_links(
+    found: &PoseDiagnosis,
+    chain: &Chain,
+    free: [bool; 2],
+) -> [Option<FrameEstimate>; 2] {
+    let estimates = || {
+        let columns = CauseColumns::new(found, chain);
+        let (linear, first) = columns.constant_fit();
+        let mut normal = columns.normal_equations(&linear, &linear.weights_after(first.as_slice()));
+        for (frame, _) in Frame::BOTH.into_iter().zip(free).filter(|it| !it.1) {
+            for (axis, column) in frame.columns().enumerate() {
+                let prior = if axis < 3 { LINK_PRIOR_M } else { LINK_PRIOR_RAD };
+                normal.matrix[(column, column)] += prior.powi(-2);
+            }
+        }
+        let covariance = normal.matrix.clone().cholesky()?.inverse();
+        let step = &covariance * &normal.right;
+        let dof = (normal.independent - linear.width as f64).max(3.0);
+        let estimate = |(frame, is_free): (Frame, bool)| {
+            let before = match frame {
+                Frame::Reference => &found.reference,
+                Frame::Tool => &found.tool,
+            };
+            let before = before.as_ref().ok().filter(|_| is_free)?;
+            let about = match frame {
+                Frame::Reference => Pose::from_parts(columns.centre.into(), Default::default()),
+                Frame::Tool => Pose::identity(),
+            };
+            let twist: [f64; 6] = std::array::from_fn(|i| step[frame.columns().start + i]);
+            let moved = about * pose_of_twist(&twist) * about.inverse();
+            // The reported reference is the inverse of what maps base coordinates to the stream's.
+            let pose = match frame {
+                Frame::Reference => moved.inverse() * before.pose,
+                Frame::Tool => moved * before.pose,
+            };
+            let lever: Vec3 = pose.translation.vector - about.translation.vector;
+            let mut by_twist = DMatrix::identity(6, 6);
+            by_twist.view_mut((0, 3), (3, 3)).copy_from(&-lever.cross_matrix());
+            let first = frame.columns().start;
+            let own = covariance.view((first, first), (6, 6));
+            let own = &by_twist * own * by_twist.transpose();
+            let twist = twist_of(&pose);
+            let length = |at: usize| {
+                let own = own.view((at, at), (3, 3)).into_owned();
+                MeasuredLength::estimate(&twist[at..at + 3], &own, dof).norm
+            };
+            let (translation_m, rotation_rad) = (length(0), length(3));
+            Some(FrameEstimate { pose, translation_m, rotation_rad, ..before.clone() })
+        };
+        let [reference, tool] = Frame::BOTH;
+        Some([estimate((reference, free[0])), estimate((tool, free[1]))])
+    };
+    let is_known = free.contains(&true) && found.encoding.is_ok();
+    is_known.then(estimates).flatten().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::diagnose_arm;
+    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_random::Lcg;
+    use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+
+    #[test]
+    fn frames_of_an_arm_that_deviates_are_inside_their_intervals() {
+        let (joints, chain) = arm();
+        let deviating = deviating_chain(4e-4);
+        let shift = Vec3::new(0.01, -0.02, 0.005);
+        let turn = rotation_from_rotvec(Vec3::new(0.0, 0.02, 0.01));
+        let base = pose(shift.into(), Rotation::identity());
+        let tool = pose(shift.into(), turn);
+        for (reference, tool) in [(base, Pose::identity()), (Pose::identity(), tool)] {
+            let mut random = Lcg::new();
+            let poses = joints.q.chunks(6).map(|q| reference * deviating.forward(q) * tool);
+            let noisy = |pose: Pose| {
+                (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+            };
+            let (xyz, rotations) = poses.map(noisy).unzip();
+            let orientation = Orientations::Rotations(rotations);
+            let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+            let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
+            let stream = &found.streams[0];
+            assert!(stream.is_nominal);
+            let is_of_base = tool == Pose::identity();
+            let frame = if is_of_base { &stream.reference } else { &stream.tool };
+            let frame = frame.as_ref().expect("a frame");
+            assert!(frame.is_chosen);
+            for (truth, measured) in
+                [(shift.norm(), &frame.translation_m), (tool.rotation.angle(), &frame.rotation_rad)]
+            {
+                let off = (measured.value - truth).abs();
+                assert!(off < measured.half_width(0.99), "{is_of_base}: {truth} {measured:?}");
+                assert!(measured.half_width(0.95) < 4e-3, "{is_of_base}: {measured:?}");
+            }
+        }
+    }
+}
