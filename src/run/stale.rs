@@ -37,7 +37,8 @@ pub(super) fn remove_stale_rows(stale: &[StaleJoints], stream: usize, rows: &mut
     }
 }
 
-pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> Vec<StaleJoints> {
+pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoints> {
+    let rows = &series.rows;
     let PartValues::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
     let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
@@ -67,8 +68,17 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> V
     let far: Vec<f64> = (0..count)
         .map(|joint| MIN_JUMP.max(20.0 * noise[joint]).max(MIN_JUMP_STEPS * usual[joint]))
         .collect();
+    let is_far = |joint: usize| {
+        let steps = positions[joint].windows(2).enumerate();
+        let far = far[joint];
+        steps.filter(move |(_, pair)| (pair[1] - pair[0]).abs() > far).map(|(at, _)| at)
+    };
+    let last = rows.len().saturating_sub(1 + SPEED_ROWS);
+    let mut jump_rows: Vec<usize> = (0..count).flat_map(is_far).filter(|at| *at < last).collect();
+    jump_rows.sort_unstable();
+    jump_rows.dedup();
     let (mut found, mut from) = (Vec::new(), 0);
-    for at in 0..rows.len().saturating_sub(1 + SPEED_ROWS) {
+    for at in jump_rows {
         let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
         let jumps = |joint: usize| {
             let by = (q(at + 1, joint) - q(at, joint)).abs();
@@ -121,6 +131,7 @@ pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = Frozen
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::part_series::Part;
     use crate::stream::JointColumns;
     use crate::time::Stamp;
 
@@ -142,10 +153,8 @@ mod tests {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, PartValues::Joints(columns));
-        let (frame, is_table) = (None, false);
-        let series =
-            PartSeries { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
-        detect_stale_joints(&series, &rows)
+        let part = Part { stream: 0, piece: 0, frame: None, is_table: false, times, values };
+        detect_stale_joints(&PartSeries { part, rows })
     }
 
     #[test]

@@ -910,7 +910,7 @@ impl ColumnGroup {
                 }
                 for (joint, [factor, offset]) in joints.joints.iter_mut().zip(&lines) {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
-                    joint.velocity.iter_mut().for_each(|v| *v *= factor);
+                    joint.velocity.update(|v| v * factor);
                 }
                 // Velocities have the unit of the positions by default.
                 let in_words = |known: &[&str]| {
@@ -921,8 +921,7 @@ impl ColumnGroup {
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
                 let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
                 if in_words(names::DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
-                    let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.velocity);
-                    all.for_each(|velocity| *velocity = velocity.to_radians());
+                    joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
                 }
                 if are_degrees {
                     why += &match is_named {
@@ -1001,11 +1000,7 @@ fn joints(stamps: &[RowStamps], names: &[String], values: &[f64], unnamed: bool)
             logged.map(|value| if is_usable(value) { value } else { f64::NAN }).collect();
         let unusable = position.iter().filter(|value| value.is_nan()).count();
         (0..unusable).for_each(|_| joints.drop_value(at));
-        joints.joints.push(JointColumn {
-            name: name.clone(),
-            velocity: vec![f64::NAN; position.len()],
-            position,
-        });
+        joints.joints.push(JointColumn::from_positions(name.clone(), position));
     }
     joints
 }
