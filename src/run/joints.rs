@@ -212,11 +212,7 @@ impl<'a> JointTopic<'a> {
             && joint.position.iter().all(|position| position.is_finite())
         {
             let (position, velocity) = (joint.position.as_slice(), joint.velocity.to_slice());
-            return JointSamples {
-                t_s: Arc::clone(t_s),
-                position: position.into(),
-                velocity,
-            };
+            return JointSamples { t_s: Arc::clone(t_s), position: position.into(), velocity };
         }
         let SortedSamples { stamps, position, velocity } = SortedSamples::from_topic(self, name);
         JointSamples {

@@ -111,9 +111,9 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     received.sort_unstable();
     let since = |nanos: &i64| seconds(nanos.saturating_sub(received[0]));
     let received_s: Vec<f64> = received.iter().map(since).collect();
-    let t_s = series.seconds();
     let extrapolation_error = |before: usize, from: usize, to: usize| {
-        let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
+        let [before_s, from_s, to_s] =
+            [before, from, to].map(|at| series.rows[at].0.seconds_since(begin));
         let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
         interpolation_error(&series.values, [before, to, from].map(|at| series.rows[at].1), part)
             .size_m()
@@ -155,6 +155,7 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     let parts = split
         .or_else(|| split_senders(&stamped_s, &extrapolation_error))
         .filter(|parts| shows_two || is_smoother(parts))?;
+    let t_s = series.seconds();
     // Applies the periods of a part to the whole run.
     let rows = match checked_rows.len() == t_s.len() {
         true => parts.rows,

@@ -50,44 +50,14 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoint
     let positions: Vec<Cow<'_, [f64]>> = joints.joints.iter().map(of_rows).collect();
     let q = |at: usize, joint: usize| positions[joint][at];
     let noise: Vec<f64> = positions.iter().map(|q| sample_noise(q)).collect();
-    let usual: Vec<f64> = noise
-        .iter()
-        .enumerate()
-        .map(|(joint, noise)| {
-            let steps = positions[joint].windows(2).map(|pair| (pair[1] - pair[0]).abs());
-            let least = (6.0 * noise).max(1e-6);
-            let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
-            let middle = steps.len() / 2;
-            match steps.is_empty() {
-                true => 0.0,
-                false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
-            }
-        })
-        .collect();
     let count = noise.len();
-    let far: Vec<f64> = (0..count)
-        .map(|joint| MIN_JUMP.max(20.0 * noise[joint]).max(MIN_JUMP_STEPS * usual[joint]))
-        .collect();
-    let is_far = |joint: usize| {
-        let steps = positions[joint].windows(2).enumerate();
-        let far = far[joint];
-        steps.filter(move |(_, pair)| (pair[1] - pair[0]).abs() > far).map(|(at, _)| at)
-    };
-    let last = rows.len().saturating_sub(1 + SPEED_ROWS);
-    let mut jump_rows: Vec<usize> = (0..count).flat_map(is_far).filter(|at| *at < last).collect();
-    jump_rows.sort_unstable();
-    jump_rows.dedup();
+    let jump_rows: Vec<Vec<usize>> =
+        positions.iter().zip(&noise).map(|(q, noise)| find_jumps(q, *noise, rows)).collect();
+    let mut all_jumps = jump_rows.concat();
+    all_jumps.sort_unstable();
+    all_jumps.dedup();
     let (mut found, mut from) = (Vec::new(), 0);
-    for at in jump_rows {
-        let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
-        let jumps = |joint: usize| {
-            let by = (q(at + 1, joint) - q(at, joint)).abs();
-            let after = (1..SPEED_ROWS).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > far[joint].max(own) && by > MIN_STEP_RATIO * after.fold(0.0, f64::max)
-        };
-        if !(0..count).any(jumps) {
-            continue;
-        }
+    for at in all_jumps {
         let is_still = |other: &usize| {
             (0..count).all(|joint| {
                 (q(*other, joint) - q(at, joint)).abs()
@@ -104,7 +74,8 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoint
         let moves = |a: usize, b: usize| {
             (0..count).any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
-                jumps(joint) && by > (10.0 * noise[joint]).max(1e-4)
+                let jumps = jump_rows[joint].binary_search(&at).is_ok();
+                jumps && by > (10.0 * noise[joint]).max(1e-4)
             })
         };
         let goes_on = moves(at + 1, at + SPEED_ROWS)
@@ -122,6 +93,38 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoint
         found.push(StaleJoints { frozen, rows: stale_rows });
     }
     found
+}
+
+/// Samples before a jump of one joint.
+fn find_jumps(q: &[f64], noise: f64, rows: &Rows) -> Vec<usize> {
+    let step = |at: usize| (q[at + 1] - q[at]).abs();
+    let stands_out = |at: &usize| {
+        let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[*at].0).powi(2);
+        let after = (at + 1..at + SPEED_ROWS).map(step).fold(0.0, f64::max);
+        step(*at) > own && step(*at) > MIN_STEP_RATIO * after
+    };
+    let least = MIN_JUMP.max(20.0 * noise);
+    let last = rows.len().saturating_sub(1 + SPEED_ROWS);
+    let mut found: Vec<usize> =
+        (0..last).filter(|&at| step(at) > least).filter(stands_out).collect();
+    // The usual step takes far longer than all the rest, and most joints never jump.
+    if !found.is_empty() {
+        let usual = usual_step(q, noise);
+        found.retain(|&at| step(at) > MIN_JUMP_STEPS * usual);
+    }
+    found
+}
+
+/// Median step beyond the noise; 0 if there is none.
+fn usual_step(q: &[f64], noise: f64) -> f64 {
+    let least = (6.0 * noise).max(1e-6);
+    let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
+    let middle = steps.len() / 2;
+    match steps.is_empty() {
+        true => 0.0,
+        false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
+    }
 }
 
 pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = FrozenSpan> + '_ {

@@ -186,8 +186,10 @@ mod tests {
     /// Few different values, so that runs of equal ones occur.
     fn values() -> impl Strategy<Value = Vec<f64>> {
         let value = prop_oneof![Just(0.0), Just(-0.0), Just(f64::NAN), Just(1.5)];
-        prop_oneof![prop::collection::vec(value.clone(), 0..6), (value, 0_usize..6)
-            .prop_map(|(value, len)| vec![value; len])]
+        prop_oneof![
+            prop::collection::vec(value.clone(), 0..6),
+            (value, 0_usize..6).prop_map(|(value, len)| vec![value; len])
+        ]
     }
 
     fn bits(values: impl IntoIterator<Item = f64>) -> Vec<u64> {
