@@ -861,7 +861,7 @@ pub(crate) fn diagnose_with_cause_changes(
 mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
-    use crate::{ArmDiagnosis, PoseStream, diagnose_run};
+    use crate::{ArmDiagnosis, Confounder, PoseStream, diagnose_run};
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
     use ground::stream::{Orientations, PoseTrack};
 
@@ -925,6 +925,27 @@ mod tests {
                 && change.column == 2
                 && (zero.at_s - 11.0).abs() < 0.1;
             assert!(is_right, "{link_m}: {change:?}");
+        }
+    }
+
+    #[test]
+    fn a_step_of_the_last_zero_that_joint_states_show_is_no_turn_of_the_tool() {
+        for link_m in LINK_M {
+            let found = diagnosed_zeros(
+                link_m,
+                |t_s, joint| if joint == 5 && t_s > 11.0 { 0.7 } else { 0.0 },
+            );
+            let [change] = found.joints.changes.as_slice() else {
+                panic!("{link_m}: {:?} {:?}", found.joints.changes, found.streams[0].tool_changes)
+            };
+            let zero = change.zero.as_ref().expect("a zero");
+            let is_right = change.column == 5
+                && (zero.size.value.to_degrees() - 0.7).abs() < 0.01
+                && (zero.from, zero.to) == (0.0, zero.size.value);
+            assert!(is_right, "{link_m}: {change:?}");
+            assert!(found.streams[0].tool_changes.is_empty(), "{link_m}");
+            let twins = &found.joints.offsets[5].confounders;
+            assert!(matches!(twins.as_slice(), [Confounder::Tool(0, _)]), "{link_m}: {twins:?}");
         }
     }
 
