@@ -13,7 +13,9 @@ use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
-use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
+use crate::residuals::cause_columns::{
+    CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
+};
 use crate::residuals::comparison::{has_slow_residual, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
@@ -559,7 +561,6 @@ struct Fitted {
 impl Fitted {
     /// Samples at a step do not count: their part of it is unknown.
     fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
-        const LEVER_M: f64 = 0.3;
         let mut sigma_m = 0.0;
         let weights = |(stream, equations): (&Stream, &StreamEquations)| {
             let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
@@ -604,9 +605,9 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
         let is_last = |stream: &Stream| {
-            stream.seen(&next).is_some_and(|it| it.columns.start == stream.columns.last_zero())
+            stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
         };
-        if !is_recorded && next.subject.stream().is_none() && streams.iter().any(is_last) {
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
             break;
         }
         current.changes.push(next);

@@ -141,7 +141,7 @@ pub(super) fn split_parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Cadence
     }
 }
 
-/// Whether a transform is between the arm's links; without an arm, whether it is no camera detection.
+/// Whether a transform is between the arm's links; without an arm, whether it is not a camera detection.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
         (strip_slash(&transform.frame_id), strip_slash(&transform.child_frame_id));
