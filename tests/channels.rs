@@ -52,7 +52,7 @@ fn poses(topics: &[Topic], name: &str) -> Vec<PoseColumns> {
     };
     let mut poses = poses.clone();
     for part in &mut poses {
-        part.times.sequence.clear();
+        part.times.sequence = Default::default();
     }
     poses.sort_by(|a, b| a.child_frame_id.cmp(&b.child_frame_id));
     poses

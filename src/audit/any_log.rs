@@ -228,11 +228,9 @@ impl AnyLog {
                 states.misspelt.is_some_and(|index| index.index(self.branches.len()) == joint);
             let name = if is_misspelt { "jiont".to_owned() } else { format!("joint{joint}") };
             let odd = |row: i64| if row % 50 == 7 { states.odd } else { 0.0 };
-            columns.joints.push(JointColumn {
-                name: format!("{}{name}", states.prefix),
-                position: (0..states.rows).map(|row| q_at(joint, row) + odd(row)).collect(),
-                velocity: vec![f64::NAN; states.rows as usize],
-            });
+            let position = (0..states.rows).map(|row| q_at(joint, row) + odd(row)).collect();
+            let name = format!("{}{name}", states.prefix);
+            columns.joints.push(JointColumn::from_positions(name, position));
         }
         for row in 0..states.rows {
             let stamp = START + row * PERIOD;

@@ -136,6 +136,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     // A part of the effect of an eccentric gear is a scale.
     let by_gain = by_gain.filter(|_| !by_compliance.as_ref().is_some_and(is_eccentric));
     let all: Vec<ArmDiagnosis> = by_compliance.into_iter().chain(by_steps).chain(by_gain).collect();
+    // Link deviations hide the difference between those they do not explain.
     let is_any_explained = all.iter().any(is_explained);
     likeliest(all.into_iter().filter(|it| !is_any_explained || is_explained(it)))
 }

@@ -110,11 +110,14 @@ fn typical_range(rows: &Rows) -> Option<(i64, i64)> {
     // The margin includes these rows again if they are regular.
     let stray = rows.len() / 200;
     let last = rows.len().checked_sub(1 + stray)?;
-    let mut stamps: Vec<i64> = rows.iter().map(|(stamp, _)| stamp.nanos()).collect();
-    if !stamps.is_sorted() {
-        stamps.sort_unstable();
-    }
-    let (start, end) = (stamps[stray], stamps[last]);
+    let (start, end) = match rows.is_sorted_by_key(|(stamp, _)| *stamp) {
+        true => (rows[stray].0.nanos(), rows[last].0.nanos()),
+        false => {
+            let mut stamps: Vec<i64> = rows.iter().map(|(stamp, _)| stamp.nanos()).collect();
+            stamps.sort_unstable();
+            (stamps[stray], stamps[last])
+        }
+    };
     let margin = end.saturating_sub(start) / 100;
     Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }

@@ -211,12 +211,8 @@ impl<'a> JointTopic<'a> {
         if let (Some(joint), Some(t_s)) = (joint, t_s)
             && joint.position.iter().all(|position| position.is_finite())
         {
-            let (position, velocity) = (joint.position.as_slice(), joint.velocity.as_slice());
-            return JointSamples {
-                t_s: Arc::clone(t_s),
-                position: position.into(),
-                velocity: velocity.into(),
-            };
+            let (position, velocity) = (joint.position.as_slice(), joint.velocity.to_slice());
+            return JointSamples { t_s: Arc::clone(t_s), position: position.into(), velocity };
         }
         let SortedSamples { stamps, position, velocity } = SortedSamples::from_topic(self, name);
         JointSamples {
@@ -379,7 +375,7 @@ mod tests {
         let rail_rows = 0..150;
         rail.times.header.truncate(150);
         rail.joints[0].position.truncate(150);
-        rail.joints[0].velocity.truncate(150);
+        rail.joints[0].velocity.select(&(0..150).collect::<Vec<_>>());
         let mut topics = [topic(&arm), topic(&rail)];
         topics[1].stream = 7;
         let MergedJoints { track, sources, .. } = merged(&topics);

@@ -6,7 +6,7 @@ use std::collections::HashSet;
 use rayon::prelude::*;
 
 use crate::stats::median;
-use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns, Times};
+use crate::stream::{ArrayColumns, Column, Columns, ImuColumns, PoseColumns, Times};
 use crate::time::Stamp;
 
 use super::Run;
@@ -133,7 +133,7 @@ fn pieces(stream: &Stream) -> Vec<(Option<String>, RotationStorage, usize, Defec
     }
 }
 
-fn quaternion_defects(q_xyzw: &[[f64; 4]]) -> Defect<'_> {
+fn quaternion_defects(q_xyzw: &Column<[f64; 4]>) -> Defect<'_> {
     let square = |q: &[f64; 4]| q.iter().map(|number| number * number).sum();
     Box::new(move |row| norm_defect(square(&q_xyzw[row])))
 }
@@ -199,6 +199,7 @@ mod tests {
     use crate::time::Clock;
 
     fn measure_quaternions(q_xyzw: &[[f64; 4]]) -> NormDefects {
+        let q_xyzw: &Column<[f64; 4]> = &q_xyzw.to_vec().into();
         let at = |row| Some(Stamp::from_nanos(row as i64));
         let defects = (0..q_xyzw.len()).map(quaternion_defects(q_xyzw));
         NormDefects::measure((0, 0, None), RotationStorage::Quaternion, defects, at)
@@ -263,7 +264,8 @@ mod tests {
         assert_eq!(norm_defects.at, Some(Stamp::from_nanos(2)));
         assert_eq!(measure_quaternions(&[[0.0; 4]]).rows, 0);
         // Dropped rows have no time.
-        let none = (0..0).map(quaternion_defects(&[]));
+        let none_logged = Column::default();
+        let none = (0..0).map(quaternion_defects(&none_logged));
         let unasked = |_| unreachable!("there is no row");
         assert_eq!(
             NormDefects::measure((0, 0, None), RotationStorage::Quaternion, none, unasked),

@@ -504,8 +504,7 @@ mod tests {
         let q = smooth(500);
         let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();
         position[400] += 1.0;
-        let velocity = vec![f64::NAN; position.len()];
-        joints.joints.push(JointColumn { name: "a".into(), position, velocity });
+        joints.joints.push(JointColumn::from_positions("a".into(), position));
         let found = joint_outliers(&joints, &|_| None);
         assert_eq!(found[0].rows, [400]);
         assert!((found[0].farthest.length_m - 1.0).abs() < 0.1);

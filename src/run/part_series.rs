@@ -1,13 +1,17 @@
 //! Streams as rows of numbers in time order: joint states, poses, transforms, IMUs.
 
+use std::ops::Deref;
+
 use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
 
 use super::role::Role;
 use super::rows::Rows;
-use super::streams::{Stream, StreamClocks};
+use super::streams::Stream;
 use super::tf_tree::strip_slash;
 
-pub(super) struct PartSeries<'a> {
+/// One part of a stream.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'a> {
     /// Index of the stream.
     pub stream: usize,
     /// Index of the part.
@@ -16,10 +20,27 @@ pub(super) struct PartSeries<'a> {
     pub frame: Option<&'a str>,
     /// Whether one program wrote the columns as a table.
     pub is_table: bool,
-    pub rows: Rows,
     pub times: &'a Times,
     pub values: PartValues<'a>,
 }
+
+/// A part with its rows in time order. They take as much memory as a number of each row, so only the parts in work have
+/// them.
+pub(super) struct PartSeries<'a> {
+    pub part: Part<'a>,
+    pub rows: Rows,
+}
+
+impl<'a> Deref for PartSeries<'a> {
+    type Target = Part<'a>;
+
+    fn deref(&self) -> &Part<'a> {
+        &self.part
+    }
+}
+
+/// Rows of a part in time order.
+pub(super) type RowsOfPart<'a> = &'a (dyn Fn(&Part<'_>) -> Rows + Sync);
 
 #[derive(Clone, Copy)]
 pub(super) enum PartValues<'a> {
@@ -59,7 +80,11 @@ impl PartValues<'_> {
     }
 }
 
-impl PartSeries<'_> {
+impl<'a> PartSeries<'a> {
+    pub fn new(part: &Part<'a>, rows: RowsOfPart<'_>) -> Self {
+        Self { part: *part, rows: rows(part) }
+    }
+
     /// Seconds since the first row.
     pub fn seconds(&self) -> Vec<f64> {
         let first = self.rows.first().map(|(stamp, _)| *stamp).unwrap_or_default();
@@ -68,10 +93,7 @@ impl PartSeries<'_> {
 }
 
 /// All parts except joint states with incomplete messages.
-pub(super) fn collect_series<'a>(
-    streams: &'a [Stream],
-    clocks: &StreamClocks,
-) -> Vec<PartSeries<'a>> {
+pub(super) fn collect_parts(streams: &[Stream]) -> Vec<Part<'_>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {
         let is_used = matches!(
@@ -84,11 +106,9 @@ pub(super) fn collect_series<'a>(
                 | Role::Imu
         );
         let Some(columns) = held.columns.as_ref().filter(|_| is_used) else { continue };
-        let mut add = |piece: usize, frame, times: &'a Times, values| {
-            let mut rows = clocks.rows(streams, stream, piece);
-            rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
-            let is_table = held.is_from_table || held.read_as.is_some();
-            found.push(PartSeries { stream, piece, frame, is_table, rows, times, values });
+        let is_table = held.is_from_table || held.read_as.is_some();
+        let mut add = |piece, frame, times, values| {
+            found.push(Part { stream, piece, frame, is_table, times, values });
         };
         match columns {
             Columns::Joints(joints) => {

@@ -7,9 +7,10 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
+use crate::stream::Times;
 use crate::time::seconds;
 
-use super::part_series::{PartSeries, PartValues};
+use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::periodic::{
     MAX_EXTRAPOLATION_ERROR, MAX_UNEXPLAINED_SHARE, MIN_PUBLISHER_ROWS, SenderSplit,
     has_one_sender, has_two_senders, roughness, split_by_periods, split_senders,
@@ -57,31 +58,33 @@ pub(super) fn remove_second_publisher(
     }
 }
 
-pub(super) fn detect_publishers(series: &[PartSeries<'_>]) -> Vec<TwoPublishers> {
-    let mut found: Vec<Option<TwoPublishers>> = series.par_iter().map(detect_in_series).collect();
+pub(super) fn detect_publishers(parts: &[Part<'_>], rows: RowsOfPart<'_>) -> Vec<TwoPublishers> {
+    let detect = |part| detect_in_series(&PartSeries::new(part, rows));
+    let mut found: Vec<Option<TwoPublishers>> = parts.par_iter().map(detect).collect();
     // If publishers of one part disagree, other parts of the same messages have the same publishers.
-    for leader in 0..series.len() {
+    for leader in 0..parts.len() {
         let Some(led) = found[leader].clone().filter(|one| one.distance.is_some()) else {
             continue;
         };
         let sent: HashSet<[i64; 2]> =
-            led.second_rows.iter().map(|&row| message_stamps(&series[leader], row)).collect();
-        let others = series.iter().zip(&mut found).filter(|(other, of_it)| {
+            led.second_rows.iter().map(|&row| message_stamps(parts[leader].times, row)).collect();
+        let others = parts.iter().zip(&mut found).filter(|(other, of_it)| {
             other.stream == led.stream && of_it.as_ref().is_none_or(|one| one.distance.is_none())
         });
         for (other, of_it) in others {
+            let other = PartSeries::new(other, rows);
             let (second, first): (Vec<usize>, Vec<usize>) = (0..other.rows.len())
-                .partition(|&at| sent.contains(&message_stamps(other, other.rows[at].1)));
+                .partition(|&at| sent.contains(&message_stamps(other.times, other.rows[at].1)));
             if second.len() == led.second_rows.len() {
-                *of_it = build_publishers(other, &other.seconds(), [first, second], false);
+                *of_it = build_publishers(&other, &other.seconds(), [first, second], false);
             }
         }
     }
     found.into_iter().flatten().collect()
 }
 
-fn message_stamps(series: &PartSeries<'_>, row: usize) -> [i64; 2] {
-    [series.times.header[row], series.times.log[row]]
+fn message_stamps(times: &Times, row: usize) -> [i64; 2] {
+    [times.header[row], times.log[row]]
 }
 
 const MIN_ROWS: usize = 60;
@@ -108,9 +111,9 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     received.sort_unstable();
     let since = |nanos: &i64| seconds(nanos.saturating_sub(received[0]));
     let received_s: Vec<f64> = received.iter().map(since).collect();
-    let t_s = series.seconds();
     let extrapolation_error = |before: usize, from: usize, to: usize| {
-        let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
+        let [before_s, from_s, to_s] =
+            [before, from, to].map(|at| series.rows[at].0.seconds_since(begin));
         let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
         interpolation_error(&series.values, [before, to, from].map(|at| series.rows[at].1), part)
             .size_m()
@@ -152,6 +155,7 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
     let parts = split
         .or_else(|| split_senders(&stamped_s, &extrapolation_error))
         .filter(|parts| shows_two || is_smoother(parts))?;
+    let t_s = series.seconds();
     // Applies the periods of a part to the whole run.
     let rows = match checked_rows.len() == t_s.len() {
         true => parts.rows,
@@ -318,7 +322,7 @@ fn interpolation_error(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::{PoseColumns, Times};
+    use crate::stream::PoseColumns;
     use crate::time::Stamp;
 
     const MS: i64 = 1_000_000;
@@ -348,15 +352,8 @@ mod tests {
         let times: &Times = &poses.times;
         let rows = times.header.iter().map(|nanos| Stamp::from_nanos(*nanos)).zip(0..).collect();
         let (frame, values) = (Some("b"), PartValues::Poses(poses));
-        detect_in_series(&PartSeries {
-            stream: 0,
-            piece: 0,
-            frame,
-            is_table: false,
-            rows,
-            times,
-            values,
-        })
+        let part = Part { stream: 0, piece: 0, frame, is_table: false, times, values };
+        detect_in_series(&PartSeries { part, rows })
     }
 
     #[test]
@@ -395,9 +392,10 @@ mod tests {
     fn publishers_with_copied_stamps_are_separated() {
         let copied = |by: &[(f64, f64, f64)]| {
             let mut poses = sent(by);
-            for (row, nanos) in poses.times.header.iter_mut().enumerate() {
+            let times: &mut Times = &mut poses.times;
+            for (nanos, received) in times.header.iter_mut().zip(&mut times.log) {
                 *nanos = 1 + (*nanos + 8 * MS - 2).div_euclid(8 * MS) * 8 * MS;
-                poses.times.log[row] = *nanos + MS;
+                *received = *nanos + MS;
             }
             poses
         };
@@ -415,22 +413,22 @@ mod tests {
         let mut lossy = sent(&[(20.0, 0.0, 0.0)]);
         let kept: Vec<usize> = (0..lossy.times.len()).filter(|row| (row * 7919) % 9 != 4).collect();
         lossy.xyz = kept.iter().map(|&row| lossy.xyz[row]).collect();
-        lossy.q_xyzw.truncate(kept.len());
+        lossy.q_xyzw.select(&kept);
         let header = kept.iter().map(|&row| lossy.times.header[row]).collect::<Vec<_>>();
-        lossy.times = Times::default();
+        lossy.times = Times::default().into();
         header.iter().for_each(|nanos| lossy.times.push(*nanos, *nanos, 0));
         assert_eq!(detect(&lossy), None);
         let mut jittery = sent(&[(20.0, 0.0, 0.0)]);
         for (row, nanos) in jittery.times.header.iter_mut().enumerate() {
             *nanos += ((row * 7919) % 17) as i64 * MS / 4;
         }
-        jittery.times.log.clone_from(&jittery.times.header);
+        jittery.times.log = jittery.times.header.clone();
         assert_eq!(detect(&jittery), None);
         let mut ragged = sent(&[(20.0, 0.0, 0.0)]);
         for (row, nanos) in ragged.times.header.iter_mut().enumerate() {
             *nanos += ((row * 7919) % 17) as i64 * MS;
         }
-        ragged.times.log.clone_from(&ragged.times.header);
+        ragged.times.log = ragged.times.header.clone();
         assert_eq!(detect(&ragged), None);
     }
 }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
-use super::part_series::{PartSeries, PartValues};
+use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
 use super::streams::with_key;
@@ -56,10 +56,6 @@ const HALF_WINDOW_S: f64 = 0.1;
 const MIN_MOTION: f64 = 5e-3;
 const MIN_ROWS: usize = 40;
 
-pub(super) fn is_deduplicated(repeats: &[RepeatedValues], stream: usize, piece: usize) -> bool {
-    deduplicated_part(repeats, stream, piece).is_some()
-}
-
 fn deduplicated_part(
     repeats: &[RepeatedValues],
     stream: usize,
@@ -87,30 +83,34 @@ pub(super) fn deduplicate(
     });
 }
 
-pub(super) fn detect_repeated_values(series: &[PartSeries<'_>]) -> Vec<RepeatedValues> {
+pub(super) fn detect_repeated_values(
+    parts: &[Part<'_>],
+    rows: RowsOfPart<'_>,
+) -> Vec<RepeatedValues> {
+    let is_of_joints = |part: &&Part<'_>| matches!(part.values, PartValues::Joints(_));
     let motion: JointMotion<'_> = LazyLock::new(Box::new(|| {
-        let joints = series.iter().filter(|series| matches!(series.values, PartValues::Joints(_)));
-        joints.map(joint_speeds).collect()
+        let joints = parts.iter().filter(is_of_joints);
+        joints.map(|part| joint_speeds(&PartSeries::new(part, rows))).collect()
     }));
-    let is_of_joints = |series: &&PartSeries<'_>| matches!(series.values, PartValues::Joints(_));
-    let of_joints: Vec<Option<RepeatedValues>> = series
+    let detect = |part: &Part<'_>, stamps: &[Stamp]| {
+        detect_in_series(&PartSeries::new(part, rows), &motion, stamps)
+    };
+    let of_joints: Vec<Option<RepeatedValues>> = parts
         .par_iter()
-        .map(|series| {
-            Some(series).filter(is_of_joints).and_then(|own| detect_in_series(own, &motion, &[]))
-        })
+        .map(|part| Some(part).filter(is_of_joints).and_then(|part| detect(part, &[])))
         .collect();
     // Poses computed from stale joint states share their stamps.
-    let repeats = series.iter().zip(&of_joints);
+    let repeats = parts.iter().zip(&of_joints);
     let repeats =
         repeats.filter(|(_, found)| found.as_ref().is_some_and(RepeatedValues::is_deduplicated));
     let mut stamps: Vec<Stamp> =
-        repeats.flat_map(|(series, _)| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
+        repeats.flat_map(|(part, _)| rows(part).into_iter().map(|(stamp, _)| stamp)).collect();
     stamps.sort_unstable();
-    let found = |(series, own): (&PartSeries<'_>, Option<RepeatedValues>)| match series.values {
+    let found = |(part, own): (&Part<'_>, Option<RepeatedValues>)| match part.values {
         PartValues::Joints(_) => own,
-        _ => detect_in_series(series, &motion, &stamps),
+        _ => detect(part, &stamps),
     };
-    series.par_iter().zip(of_joints).filter_map(found).collect()
+    parts.par_iter().zip(of_joints).filter_map(found).collect()
 }
 
 struct RepeatGroup {
@@ -364,13 +364,17 @@ mod tests {
         columns
     }
 
-    fn series<'a>(stream: usize, times: &'a Times, values: PartValues<'a>) -> PartSeries<'a> {
-        let rows = times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
-        PartSeries { stream, piece: 0, frame: None, is_table: false, rows, times, values }
+    fn part<'a>(stream: usize, times: &'a Times, values: PartValues<'a>) -> Part<'a> {
+        Part { stream, piece: 0, frame: None, is_table: false, times, values }
+    }
+
+    fn rows(part: &Part<'_>) -> Rows {
+        part.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect()
     }
 
     fn detect(columns: &JointColumns) -> Option<RepeatedValues> {
-        detect_repeated_values(&[series(0, &columns.times, PartValues::Joints(columns))]).pop()
+        let part = part(0, &columns.times, PartValues::Joints(columns));
+        detect_repeated_values(&[part], &rows).pop()
     }
 
     #[test]
@@ -405,16 +409,17 @@ mod tests {
         for column in &mut joints.joints {
             column.position.iter_mut().zip(0..).for_each(|(q, row)| *q += BIT * f64::from(row % 2));
         }
-        let held = |rows: i64| {
-            let mut poses = PoseColumns { times: joints.times.clone(), ..PoseColumns::default() };
+        let held = |count: i64| {
+            let times = joints.times.clone().into();
+            let mut poses = PoseColumns { times, ..PoseColumns::default() };
             for row in 0..joints.times.len() as i64 {
-                let t = (row / rows * rows) as f64 * 8e-3;
+                let t = (row / count * count) as f64 * 8e-3;
                 poses.xyz.push([0.3 * t.sin(), 0.2 * (1.7 * t).cos(), 0.1 * t]);
                 poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
             }
-            let of_joints = series(0, &joints.times, PartValues::Joints(&joints));
-            let of_poses = series(1, &poses.times, PartValues::Poses(&poses));
-            detect_repeated_values(&[of_joints, of_poses]).pop().map(|found| found.share())
+            let of_joints = part(0, &joints.times, PartValues::Joints(&joints));
+            let of_poses = part(1, &poses.times, PartValues::Poses(&poses));
+            detect_repeated_values(&[of_joints, of_poses], &rows).pop().map(|found| found.share())
         };
         assert_eq!(held(1), None);
         let share = held(6).expect("repeated poses");

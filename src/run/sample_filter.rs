@@ -1,9 +1,7 @@
 //! Filters samples for estimation: one publisher, no outliers, no stale or repeated values.
 
-use std::borrow::Cow;
-
 use super::outliers::{self, Outliers, detect_outliers};
-use super::part_series::{PartValues, collect_series};
+use super::part_series::{Part, PartSeries, PartValues, collect_parts};
 use super::publishers::{self, TwoPublishers, detect_publishers};
 use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
@@ -26,29 +24,29 @@ pub struct SampleFilter {
 
 impl SampleFilter {
     pub(super) fn new(streams: &[Stream], clocks: &StreamClocks) -> Self {
-        let mut series = collect_series(streams, clocks);
-        let publishers = detect_publishers(&series);
-        for series in &mut series {
-            publishers::remove_second_publisher(
-                &publishers,
-                series.stream,
-                series.piece,
-                &mut series.rows,
-            );
+        let parts = collect_parts(streams);
+        let all_rows = |part: &Part<'_>| {
+            let mut rows = clocks.rows(streams, part.stream, part.piece);
+            rows.sort_by_key(|(stamp, row)| (*stamp, part.times.log[*row]));
+            rows
+        };
+        let publishers = detect_publishers(&parts, &all_rows);
+        let rows = |part: &Part<'_>| {
+            let mut rows = all_rows(part);
+            publishers::remove_second_publisher(&publishers, part.stream, part.piece, &mut rows);
             // A message resent with its stamp is the same row.
-            series.rows.dedup_by_key(|(stamp, _)| *stamp);
-        }
-        let repeated = detect_repeated_values(&series);
-        let joints = series.iter().filter(|series| {
-            matches!(series.values, PartValues::Joints(_))
-                && streams[series.stream].role == Role::Joints
+            rows.dedup_by_key(|(stamp, _)| *stamp);
+            rows
+        };
+        let repeated = detect_repeated_values(&parts, &rows);
+        let joints = parts.iter().filter(|part| {
+            matches!(part.values, PartValues::Joints(_))
+                && streams[part.stream].role == Role::Joints
         });
-        let stale = joints.flat_map(|series| {
-            let mut rows = Cow::Borrowed(&series.rows);
-            if repeated::is_deduplicated(&repeated, series.stream, series.piece) {
-                repeated::deduplicate(&repeated, series.stream, series.piece, rows.to_mut());
-            }
-            detect_stale_joints(series, &rows)
+        let stale = joints.flat_map(|part| {
+            let mut series = PartSeries::new(part, &rows);
+            repeated::deduplicate(&repeated, part.stream, part.piece, &mut series.rows);
+            detect_stale_joints(&series)
         });
         let stale = stale.collect();
         let outliers = detect_outliers(streams, clocks, &publishers);

@@ -37,7 +37,8 @@ pub(super) fn remove_stale_rows(stale: &[StaleJoints], stream: usize, rows: &mut
     }
 }
 
-pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> Vec<StaleJoints> {
+pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoints> {
+    let rows = &series.rows;
     let PartValues::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
     let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
@@ -49,35 +50,14 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> V
     let positions: Vec<Cow<'_, [f64]>> = joints.joints.iter().map(of_rows).collect();
     let q = |at: usize, joint: usize| positions[joint][at];
     let noise: Vec<f64> = positions.iter().map(|q| sample_noise(q)).collect();
-    let usual: Vec<f64> = noise
-        .iter()
-        .enumerate()
-        .map(|(joint, noise)| {
-            let steps = positions[joint].windows(2).map(|pair| (pair[1] - pair[0]).abs());
-            let least = (6.0 * noise).max(1e-6);
-            let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
-            let middle = steps.len() / 2;
-            match steps.is_empty() {
-                true => 0.0,
-                false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
-            }
-        })
-        .collect();
     let count = noise.len();
-    let far: Vec<f64> = (0..count)
-        .map(|joint| MIN_JUMP.max(20.0 * noise[joint]).max(MIN_JUMP_STEPS * usual[joint]))
-        .collect();
+    let jump_rows: Vec<Vec<usize>> =
+        positions.iter().zip(&noise).map(|(q, noise)| find_jumps(q, *noise, rows)).collect();
+    let mut all_jumps = jump_rows.concat();
+    all_jumps.sort_unstable();
+    all_jumps.dedup();
     let (mut found, mut from) = (Vec::new(), 0);
-    for at in 0..rows.len().saturating_sub(1 + SPEED_ROWS) {
-        let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
-        let jumps = |joint: usize| {
-            let by = (q(at + 1, joint) - q(at, joint)).abs();
-            let after = (1..SPEED_ROWS).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > far[joint].max(own) && by > MIN_STEP_RATIO * after.fold(0.0, f64::max)
-        };
-        if !(0..count).any(jumps) {
-            continue;
-        }
+    for at in all_jumps {
         let is_still = |other: &usize| {
             (0..count).all(|joint| {
                 (q(*other, joint) - q(at, joint)).abs()
@@ -94,7 +74,8 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> V
         let moves = |a: usize, b: usize| {
             (0..count).any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
-                jumps(joint) && by > (10.0 * noise[joint]).max(1e-4)
+                let jumps = jump_rows[joint].binary_search(&at).is_ok();
+                jumps && by > (10.0 * noise[joint]).max(1e-4)
             })
         };
         let goes_on = moves(at + 1, at + SPEED_ROWS)
@@ -114,6 +95,38 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> V
     found
 }
 
+/// Samples before a jump of one joint.
+fn find_jumps(q: &[f64], noise: f64, rows: &Rows) -> Vec<usize> {
+    let step = |at: usize| (q[at + 1] - q[at]).abs();
+    let stands_out = |at: &usize| {
+        let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[*at].0).powi(2);
+        let after = (at + 1..at + SPEED_ROWS).map(step).fold(0.0, f64::max);
+        step(*at) > own && step(*at) > MIN_STEP_RATIO * after
+    };
+    let least = MIN_JUMP.max(20.0 * noise);
+    let last = rows.len().saturating_sub(1 + SPEED_ROWS);
+    let mut found: Vec<usize> =
+        (0..last).filter(|&at| step(at) > least).filter(stands_out).collect();
+    // The usual step takes far longer than all the rest, and most joints never jump.
+    if !found.is_empty() {
+        let usual = usual_step(q, noise);
+        found.retain(|&at| step(at) > MIN_JUMP_STEPS * usual);
+    }
+    found
+}
+
+/// Median step beyond the noise; 0 if there is none.
+fn usual_step(q: &[f64], noise: f64) -> f64 {
+    let least = (6.0 * noise).max(1e-6);
+    let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
+    let middle = steps.len() / 2;
+    match steps.is_empty() {
+        true => 0.0,
+        false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
+    }
+}
+
 pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = FrozenSpan> + '_ {
     stale.iter().map(|found| found.frozen)
 }
@@ -121,6 +134,7 @@ pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = Frozen
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::part_series::Part;
     use crate::stream::JointColumns;
     use crate::time::Stamp;
 
@@ -142,10 +156,8 @@ mod tests {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, PartValues::Joints(columns));
-        let (frame, is_table) = (None, false);
-        let series =
-            PartSeries { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
-        detect_stale_joints(&series, &rows)
+        let part = Part { stream: 0, piece: 0, frame: None, is_table: false, times, values };
+        detect_stale_joints(&PartSeries { part, rows })
     }
 
     #[test]

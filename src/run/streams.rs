@@ -348,7 +348,7 @@ impl StreamClocks {
                 Some(Columns::Transforms(transforms)) if stream.role == Role::Tf => {
                     let pieces = transforms
                         .iter()
-                        .map(|poses| (poses.child_frame_id.as_str(), &poses.times));
+                        .map(|poses| (poses.child_frame_id.as_str(), &*poses.times));
                     of[index] = vec![0; transforms.len()];
                     for (source, members) in clock::group_by_clock(index, pieces, max_latency_s) {
                         for member in members {

@@ -168,11 +168,7 @@ fn transforms_that_cross_not_all_joints_are_no_source() {
 fn joints_outside_the_arm_are_ignored_with_the_reason() {
     let mut recording = Recording::new();
     let Some((_, Columns::Joints(joints))) = recording.topics.get_mut(0) else { panic!("joints") };
-    let finger = JointColumn {
-        name: "finger_joint".to_owned(),
-        position: vec![0.0; ROWS as usize],
-        velocity: vec![f64::NAN; ROWS as usize],
-    };
+    let finger = JointColumn::from_positions("finger_joint".to_owned(), vec![0.0; ROWS as usize]);
     joints.joints.push(finger);
     joints.joints[2].position[100] = f64::NAN;
     let commands = joints.clone();

@@ -5,8 +5,8 @@ use super::confounders::measured;
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::encodings::position::PositionEncodingEstimate;
-use crate::frames::beside_links::frames_beside_links;
 use crate::frames::constant_frames::{frame_estimate, with_frames_from_positions};
+use crate::frames::with_links::frames_with_links;
 use crate::latency::correlation::median_period_s;
 use crate::latency::delay_jitter::{DelayJitter, estimate_delay_jitter};
 use crate::latency::profile::latency_profile;
@@ -264,7 +264,7 @@ pub(super) fn stream_diagnosis(
     }
     let is_free = |cause: Cause| candidates.always.contains(&cause) || causes.contains(&cause);
     let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
-    let [reference, tool] = frames_beside_links(&found, stream.chain, free);
+    let [reference, tool] = frames_with_links(&found, stream.chain, free);
     PoseDiagnosis {
         reference: reference.map_or(found.reference, Ok),
         tool: tool.map_or(found.tool, Ok),

@@ -13,7 +13,9 @@ use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
-use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
+use crate::residuals::cause_columns::{
+    CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
+};
 use crate::residuals::comparison::{has_slow_residual, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
@@ -559,7 +561,6 @@ struct Fitted {
 impl Fitted {
     /// Samples at a step do not count: their part of it is unknown.
     fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
-        const LEVER_M: f64 = 0.3;
         let mut sigma_m = 0.0;
         let weights = |(stream, equations): (&Stream, &StreamEquations)| {
             let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
@@ -604,9 +605,9 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
         let is_last = |stream: &Stream| {
-            stream.seen(&next).is_some_and(|it| it.columns.start == stream.columns.last_zero())
+            stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
         };
-        if !is_recorded && next.subject.stream().is_none() && streams.iter().any(is_last) {
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
             break;
         }
         current.changes.push(next);
@@ -861,7 +862,7 @@ pub(crate) fn diagnose_with_cause_changes(
 mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
-    use crate::{ArmDiagnosis, PoseStream, diagnose_run};
+    use crate::{ArmDiagnosis, Confounder, PoseStream, diagnose_run};
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
     use ground::stream::{Orientations, PoseTrack};
 
@@ -925,6 +926,27 @@ mod tests {
                 && change.column == 2
                 && (zero.at_s - 11.0).abs() < 0.1;
             assert!(is_right, "{link_m}: {change:?}");
+        }
+    }
+
+    #[test]
+    fn a_step_of_the_last_zero_that_joint_states_show_is_no_turn_of_the_tool() {
+        for link_m in LINK_M {
+            let found = diagnosed_zeros(
+                link_m,
+                |t_s, joint| if joint == 5 && t_s > 11.0 { 0.7 } else { 0.0 },
+            );
+            let [change] = found.joints.changes.as_slice() else {
+                panic!("{link_m}: {:?} {:?}", found.joints.changes, found.streams[0].tool_changes)
+            };
+            let zero = change.zero.as_ref().expect("a zero");
+            let is_right = change.column == 5
+                && (zero.size.value.to_degrees() - 0.7).abs() < 0.01
+                && (zero.from, zero.to) == (0.0, zero.size.value);
+            assert!(is_right, "{link_m}: {change:?}");
+            assert!(found.streams[0].tool_changes.is_empty(), "{link_m}");
+            let twins = &found.joints.offsets[5].confounders;
+            assert!(matches!(twins.as_slice(), [Confounder::Tool(0, _)]), "{link_m}: {twins:?}");
         }
     }
 

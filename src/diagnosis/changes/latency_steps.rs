@@ -1,5 +1,5 @@
-//! Steps of a stream's latency beside link deviations, in motion that starts and stops too rarely for a latency in every
-//! part of the run.
+//! Steps of a stream's latency, fitted together with link deviations: for motion that starts and stops too rarely for a
+//! latency in every part of the run.
 
 use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
 use crate::latency::profile::largest;
@@ -76,7 +76,7 @@ mod tests {
     use ground::geometry::Vec3;
     use ground::stream::{Orientations, PoseTrack};
 
-    /// Steps of the latency of an arm that deviates.
+    /// Latency steps that are found for an arm that deviates.
     fn steps_of(latency_s: impl Fn(f64) -> f64) -> Vec<LatencyStep> {
         let (joints, chain) = arm();
         let deviating = deviating_chain(3e-4);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_beside_link_deviations_is_measured() {
+    fn a_latency_step_of_an_arm_that_deviates_is_measured() {
         let steps = steps_of(|t_s| if t_s > 12.0 { 0.013 } else { 0.005 });
         let [step] = steps.as_slice() else { panic!("{steps:?}") };
         assert!((step.at_s - 12.0).abs() < 0.1, "{step:?}");

@@ -1,5 +1,5 @@
 //! Score test for a change of a frame, the latency, the radial scale or a joint zero. Constant causes and link deviations
-//! are free parameters of it.
+//! are free parameters.
 //!
 //! The gain of a step at each sample comes from one linearisation (sup-F test: Andrews, *Tests for parameter
 //! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, the radial
-/// scale, and a joint zero. The reference turns about the middle of the motion, so a rotation alone is no cause.
+/// scale, and a joint zero. The reference turns about the middle of the motion, so its rotation does not change alone.
 fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
     let (reference, tool) = (Frame::Reference, Frame::Tool);
     let frames = [
@@ -150,7 +150,7 @@ impl<'a> ScoreTest<'a> {
         gains
     }
 
-    /// `gains` are those of steps at these samples.
+    /// `gains` belong to steps at these samples.
     fn likeliest_step(
         &self,
         samples: &[usize],

@@ -150,7 +150,8 @@ impl CompensatedRun {
     }
 }
 
-/// Profiles of streams whose latency steps, if no other profile was found and these are likelier than constant latencies.
+/// Profiles of streams whose latency steps, if no other profile is unsteady. All streams must still follow FK, and the
+/// residual beyond link deviations must fall.
 fn steps_beside_links(
     run: &ArmRun,
     constant: &ArmDiagnosis,
@@ -160,9 +161,9 @@ fn steps_beside_links(
     if constant.streams.iter().any(is_unsteady) {
         return None;
     }
-    let both = || constant.streams.iter().zip(run.streams);
+    let found = constant.streams.iter().zip(run.streams);
     let profiles: Vec<Option<LatencyProfile>> =
-        both().map(|(found, stream)| latency_steps(found, stream.chain)).collect();
+        found.map(|(found, stream)| latency_steps(found, stream.chain)).collect();
     let tracks: Vec<Option<PoseTrack>> = profiles
         .iter()
         .zip(run.streams)
@@ -175,6 +176,11 @@ fn steps_beside_links(
         return None;
     }
     let stepped = diagnose_arm(run.joints, &with_tracks(run.streams, &tracks), run.max_lag_s);
+    let follows = |found: &PoseDiagnosis| found.residual.is_ok() && !found.is_far_from_fk();
+    let mut both = constant.streams.iter().zip(&stepped.streams);
+    if both.any(|(before, after)| follows(before) && !follows(after)) {
+        return None;
+    }
     let unexplained_m = |diagnosis: &ArmDiagnosis| -> f64 {
         let streams = diagnosis.streams.iter().zip(run.streams);
         streams.map(|(found, stream)| CauseColumns::new(found, stream.chain).unexplained_m()).sum()

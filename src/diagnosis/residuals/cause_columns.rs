@@ -59,6 +59,9 @@ const CAUSES: usize = RADIAL_SCALE + 2;
 /// Variable column of the first joint's zero. Those before are constant columns.
 pub(crate) const ZEROS: usize = RADIAL_SCALE + 1;
 
+/// Converts rotations to lengths.
+pub(crate) const LEVER_M: f64 = 0.3;
+
 /// Columns with a factor for each sample: frames, latency and radial scale as the constant ones, then joint zeros.
 pub(crate) struct VariableColumns {
     pub columns: Range<usize>,
@@ -297,7 +300,6 @@ impl<'a> CauseColumns<'a> {
 
     /// Residual that constant causes and link deviations leave, rms m. Angles are weighted by 0.3 m.
     pub fn unexplained_m(&self) -> f64 {
-        const LEVER_M: f64 = 0.3;
         let (linear, fit) = self.constant_fit();
         let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
         m.hypot(LEVER_M * rad)

@@ -1,129 +1,7 @@
 use crate::time::Clock;
 
-/// Times of every row, ns, one entry per row in each column.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Times {
-    /// Header stamp (for /tf: of that transform); 0 if unset.
-    pub header: Vec<i64>,
-    /// When it was recorded.
-    pub log: Vec<i64>,
-    /// When it was sent. Empty if equal to the receive times, as most recorders write.
-    publish: Vec<i64>,
-    /// Sequence number; empty or 0 if the sender does not count.
-    pub sequence: Vec<u32>,
-    /// The type has no stamp, so `header` is 0.
-    pub unstamped: bool,
-}
-
-impl Times {
-    /// Appends one row.
-    pub fn push(&mut self, header: i64, log: i64, publish: i64) {
-        if publish != log || !self.publish.is_empty() {
-            self.publish.extend_from_slice(&self.log[self.publish.len()..]);
-            self.publish.push(publish);
-        }
-        self.header.push(header);
-        self.log.push(log);
-    }
-
-    /// Appends all rows of `later`.
-    pub fn append(&mut self, later: &Self) {
-        if !(self.publish.is_empty() && later.publish.is_empty()) {
-            self.publish.extend_from_slice(&self.log[self.publish.len()..]);
-            self.publish.extend_from_slice(later.nanos_on(Clock::Publish));
-        }
-        self.header.extend_from_slice(&later.header);
-        self.log.extend_from_slice(&later.log);
-        self.sequence.extend_from_slice(&later.sequence);
-    }
-
-    /// Appends one row of `later`.
-    pub fn append_row(&mut self, later: &Self, row: usize) {
-        self.push(later.header[row], later.log[row], later.nanos_on(Clock::Publish)[row]);
-        self.sequence.extend(later.sequence.get(row));
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        self.log.len()
-    }
-
-    /// Whether it is empty.
-    pub fn is_empty(&self) -> bool {
-        self.log.is_empty()
-    }
-
-    /// Column of `clock`, ns.
-    pub fn nanos_on(&self, clock: Clock) -> &[i64] {
-        match clock {
-            Clock::Header => &self.header,
-            Clock::Log => &self.log,
-            Clock::Publish if self.publish.is_empty() => &self.log,
-            Clock::Publish => &self.publish,
-        }
-    }
-
-    /// Stable sort order by `clock`; `None` if already sorted.
-    pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
-        let column = self.nanos_on(clock);
-        if column.is_sorted() {
-            return None;
-        }
-        let mut order: Vec<usize> = (0..column.len()).collect();
-        order.sort_by_key(|&row| column[row]);
-        Some(order)
-    }
-
-    /// Subtracts `lateness` (ns), a function of the nanoseconds since the first time on the same clock.
-    /// Unset headers stay unset.
-    pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
-        for column in [&mut self.header, &mut self.log, &mut self.publish] {
-            let first = column.iter().copied().filter(|nanos| *nanos != 0).min().unwrap_or(0);
-            for nanos in column.iter_mut().filter(|nanos| **nanos != 0) {
-                *nanos = nanos.saturating_sub(lateness(nanos.saturating_sub(first)));
-            }
-        }
-    }
-
-    /// Replaces the times on `clock`. Receive times at a constant delay, as in tables, move too.
-    pub fn restamp(&mut self, clock: Clock, nanos: Vec<i64>) {
-        let delay = self
-            .log
-            .first()
-            .zip(self.header.first())
-            .map_or(0, |(log, own)| log.saturating_sub(*own));
-        let is_constant = self
-            .log
-            .iter()
-            .zip(&self.header)
-            .all(|(log, own)| log.checked_sub(*own) == Some(delay));
-        match clock {
-            Clock::Log => self.log = nanos,
-            Clock::Publish => self.publish = nanos,
-            Clock::Header => {
-                if is_constant {
-                    self.log = nanos.iter().map(|nanos| nanos.saturating_add(delay)).collect();
-                }
-                self.header = nanos;
-            }
-        }
-    }
-
-    fn permute(&mut self, order: &[usize]) {
-        permute(&mut self.header, order);
-        permute(&mut self.log, order);
-        if !self.publish.is_empty() {
-            permute(&mut self.publish, order);
-        }
-        if !self.sequence.is_empty() {
-            permute(&mut self.sequence, order);
-        }
-    }
-}
-
-fn permute<T: Copy>(column: &mut Vec<T>, order: &[usize]) {
-    *column = order.iter().map(|&row| column[row]).collect();
-}
+use super::column::Column;
+use super::times::{SharedTimes, Times, permute};
 
 /// Positions and velocities of one joint, one per row.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -133,7 +11,19 @@ pub struct JointColumn {
     /// Position, rad or m; NaN if missing.
     pub position: Vec<f64>,
     /// Velocity, rad/s or m/s; NaN if missing.
-    pub velocity: Vec<f64>,
+    pub velocity: Column<f64>,
+}
+
+impl JointColumn {
+    /// A joint without velocities.
+    pub fn from_positions(name: String, position: Vec<f64>) -> Self {
+        Self { name, velocity: Column::constant(f64::NAN, position.len()), position }
+    }
+
+    /// A joint that is missing from all of `rows` rows.
+    pub fn absent(name: String, rows: usize) -> Self {
+        Self::from_positions(name, vec![f64::NAN; rows])
+    }
 }
 
 /// Largest plausible magnitude, in any unit. Its square does not overflow.
@@ -173,15 +63,15 @@ pub struct JointColumns {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseColumns {
     /// Times of the rows.
-    pub times: Times,
+    pub times: SharedTimes,
     /// Parent frame, without a leading `/`.
     pub frame_id: String,
     /// Child frame, without a leading `/`; may be empty.
     pub child_frame_id: String,
     /// Position as logged, nominally m.
-    pub xyz: Vec<[f64; 3]>,
+    pub xyz: Column<[f64; 3]>,
     /// Quaternion as logged: x, y, z, w.
-    pub q_xyzw: Vec<[f64; 4]>,
+    pub q_xyzw: Column<[f64; 4]>,
     /// Dropped rows with values that are not [`is_usable`].
     pub not_finite: u64,
 }
@@ -194,11 +84,11 @@ pub struct ImuColumns {
     /// Sensor frame, without a leading `/`.
     pub frame_id: String,
     /// `world_from_imu` as logged (REP 145), x, y, z, w; all zero if unknown.
-    pub q_xyzw: Vec<[f64; 4]>,
+    pub q_xyzw: Column<[f64; 4]>,
     /// Angular velocity, sensor frame, rad/s.
-    pub gyro: Vec<[f64; 3]>,
+    pub gyro: Column<[f64; 3]>,
     /// Specific force, sensor frame, m/s².
-    pub accel: Vec<[f64; 3]>,
+    pub accel: Column<[f64; 3]>,
     /// Whether a message declares an orientation (`orientation_covariance[0] != -1`).
     pub has_orientation: bool,
     /// Dropped rows with values that are not [`is_usable`].
@@ -254,7 +144,7 @@ impl Columns {
         match self {
             Columns::Joints(joints) => vec![&joints.times],
             Columns::Poses(poses) | Columns::Transforms(poses) => {
-                poses.iter().map(|poses| &poses.times).collect()
+                poses.iter().map(|poses| &*poses.times).collect()
             }
             Columns::Imu(imu) => vec![&imu.times],
             Columns::Array(array) => vec![&array.times],
@@ -267,7 +157,7 @@ impl Columns {
         match self {
             Columns::Joints(joints) => vec![&mut joints.times],
             Columns::Poses(poses) | Columns::Transforms(poses) => {
-                poses.iter_mut().map(|poses| &mut poses.times).collect()
+                poses.iter_mut().map(|poses| &mut *poses.times).collect()
             }
             Columns::Imu(imu) => vec![&mut imu.times],
             Columns::Array(array) => vec![&mut array.times],
@@ -351,7 +241,7 @@ impl JointColumns {
         self.times.permute(rows);
         for joint in &mut self.joints {
             permute(&mut joint.position, rows);
-            permute(&mut joint.velocity, rows);
+            joint.velocity.select(rows);
         }
     }
 
@@ -367,8 +257,8 @@ impl JointColumns {
 impl PoseColumns {
     fn select(&mut self, rows: &[usize]) {
         self.times.permute(rows);
-        permute(&mut self.xyz, rows);
-        permute(&mut self.q_xyzw, rows);
+        self.xyz.select(rows);
+        self.q_xyzw.select(rows);
     }
 
     /// Sorts the rows by `clock`.
@@ -383,9 +273,9 @@ impl PoseColumns {
 impl ImuColumns {
     fn select(&mut self, rows: &[usize]) {
         self.times.permute(rows);
-        permute(&mut self.q_xyzw, rows);
-        permute(&mut self.gyro, rows);
-        permute(&mut self.accel, rows);
+        self.q_xyzw.select(rows);
+        self.gyro.select(rows);
+        self.accel.select(rows);
     }
 
     /// Sorts the rows by `clock`.
@@ -420,32 +310,6 @@ impl ArrayColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn publish_times_are_stored_from_the_first_difference_on() {
-        let mut times = Times::default();
-        for (log, publish) in [(10, 10), (20, 20), (30, 29), (40, 40)] {
-            times.push(0, log, publish);
-        }
-        assert_eq!(times.nanos_on(Clock::Publish), [10, 20, 29, 40]);
-        times.permute(&[3, 2]);
-        assert_eq!(times.nanos_on(Clock::Publish), [40, 29]);
-        let mut same = Times::default();
-        same.push(0, 10, 10);
-        assert_eq!(same.nanos_on(Clock::Publish), [10]);
-    }
-
-    #[test]
-    fn shifting_back_moves_every_clock_by_its_own_time() {
-        let mut times = Times::default();
-        for (header, log) in [(0, 50), (1_000, 60), (3_000, 80)] {
-            times.push(header, log, log + 1);
-        }
-        times.shift_back(|since_first| 10 + since_first / 100);
-        assert_eq!(times.header, [0, 990, 2_970]);
-        assert_eq!(times.log, [40, 50, 70]);
-        assert_eq!(times.nanos_on(Clock::Publish), [41, 51, 71]);
-    }
 
     #[test]
     fn sorting_moves_whole_rows() {

@@ -3,11 +3,15 @@
 //! Decoders append rows as they arrive; the `sort_by` methods then sort them by the audit's clock.
 //! Rotations stay as logged (`_xyzw`, raw arrays).
 
+mod column;
 mod columns;
+mod times;
 mod tracks;
 
+pub use column::Column;
 pub use columns::{
-    ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
+    ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns,
     is_usable,
 };
+pub use times::{SharedTimes, Times};
 pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack, sample_noise};

@@ -204,8 +204,9 @@ impl Builder {
         let unstamped = !self.stamped;
         let finalized = |(name, part): (&'static str, Part)| {
             let mut columns = part.finalize();
-            for times in columns.iter_mut().flat_map(Columns::times_mut) {
-                times.unstamped = unstamped;
+            // Access would copy shared times.
+            for times in columns.iter_mut().filter(|_| unstamped).flat_map(Columns::times_mut) {
+                times.unstamped = true;
             }
             (name, columns)
         };

@@ -98,7 +98,7 @@ fn joints_are_appended_to_the_column_of_their_name() {
     assert_same(&joints.joints[0].position, &[1.0, 3.0, NAN, 6.0]);
     assert_same(&joints.joints[1].position, &[2.0, 4.0, NAN, 7.0]);
     assert_same(&joints.joints[2].position, &[NAN, NAN, 5.0, NAN]);
-    assert_same(&joints.joints[0].velocity, &[0.1, NAN, NAN, 0.6]);
+    assert_same(&joints.joints[0].velocity.to_slice(), &[0.1, NAN, NAN, 0.6]);
     assert_eq!(joints.times.header, [1_000_000_002; 4]);
     assert_eq!(joints.times.log, [1000, 1001, 1002, 1003]);
     assert_eq!(joints.times.nanos_on(Clock::Publish), [2000, 2001, 2002, 2003]);
@@ -167,7 +167,7 @@ fn the_schema_in_the_log_says_where_fields_are() {
     assert_eq!(joints.times.header, [3_000_000_004]);
     assert_eq!(joints.frame_id, "base");
     assert_same(&joints.joints[1].position, &[2.5]);
-    assert_same(&joints.joints[1].velocity, &[0.25]);
+    assert_same(&joints.joints[1].velocity.to_slice(), &[0.25]);
 }
 
 #[test]

@@ -118,7 +118,7 @@ fn tables_with_different_columns_are_merged() {
     assert_eq!((listed.messages, &listed.columns), (10, &None));
     assert!(log.topics.iter().all(crate::Topic::is_from_table));
     let turned = read_tables(&[velocities.as_bytes(), positions.as_bytes()]).unwrap();
-    let same = joints(&turned, "actual_q").joints[0].velocity.iter().zip(velocity);
+    let same = joints(&turned, "actual_q").joints[0].velocity.iter().zip(velocity.iter());
     assert!(same.into_iter().all(|(a, b)| a.to_bits() == b.to_bits()));
 }
 

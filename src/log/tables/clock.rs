@@ -1,5 +1,6 @@
 //! Stamps of table rows: from a column of times, otherwise from a declared rate.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use super::{Column, ColumnSettings, Table, names};
@@ -130,7 +131,7 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(from_rate(table, rate_hz, "from `columns.rate_hz`"));
     }
-    let mut clocks = clocks_by_name(table);
+    let mut clocks = clocks_by_name(table, None);
     clocks.retain(Clock::covers_most_rows);
     let is_of_rows = |clock: &Clock| clock.name(table).is_none_or(is_time);
     if clocks.iter().any(is_of_rows) {
@@ -201,40 +202,33 @@ pub(super) enum CellTime {
     Open,
 }
 
-/// Best clock per column group, keyed by the group's path.
-pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
+/// Best clock per column group, keyed by the group's path, and all clocks outside of groups but `main`.
+pub(super) fn further_clocks(table: &Table, main: &Clock) -> (BTreeMap<String, Clock>, Vec<Clock>) {
+    let main = main.cell.filter(|(at, _)| group_of(&table.columns[*at].name).is_none());
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
-    for clock in clocks_by_name(table) {
-        let name = clock.cell.and_then(|(at, _)| Some(table.columns.get(at)?.name.as_str()));
-        if let Some(group) = name.and_then(group_of) {
-            groups.entry(group.to_owned()).or_default().push(clock);
+    let mut outside = Vec::new();
+    for clock in clocks_by_name(table, main.map(|(at, _)| at)) {
+        match clock.name(table).and_then(group_of) {
+            Some(group) => groups.entry(group.to_owned()).or_default().push(clock),
+            None => outside.push(clock),
         }
     }
     let best = |(group, clocks)| Some((group, best_clock(clocks, table)?));
-    groups.into_iter().filter_map(best).collect()
-}
-
-/// Clocks of some of the columns, outside of groups: all that are named as times but `main`.
-pub(super) fn further_clocks(table: &Table, main: &Clock) -> Vec<Clock> {
-    let mut clocks = clocks_by_name(table);
-    clocks.retain(|clock| {
-        let is_outside = clock.name(table).is_some_and(|name| group_of(name).is_none());
-        clock.cell != main.cell && is_outside
-    });
-    clocks
+    (groups.into_iter().filter_map(best).collect(), outside)
 }
 
 pub(super) fn group_of(name: &str) -> Option<&str> {
     name.rsplit_once('/').map(|(group, _)| group)
 }
 
-fn clocks_by_name(table: &Table) -> Vec<Clock> {
+fn clocks_by_name(table: &Table, without: Option<usize>) -> Vec<Clock> {
     let columns = || table.columns.iter().enumerate();
+    let wanted = || columns().filter(|(at, _)| Some(*at) != without);
     // Kawasaki's third angle is also named T.
     let has = |name: &str| table.columns.iter().any(|column| column.name == name);
     let is_angle = |name: &str| name == "T" && has("O") && has("A");
     let is_named = |name: &str| is_time(name) || begins_with_time(name);
-    let times = columns().filter(|(_, column)| is_named(&column.name) && !is_angle(&column.name));
+    let times = wanted().filter(|(_, column)| is_named(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
             1 => from_sparse_column(at, column, None),
@@ -242,7 +236,7 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
             _ => None,
         })
         .collect();
-    for (at, column) in columns().filter(|(_, column)| column.width == 1) {
+    for (at, column) in wanted().filter(|(_, column)| column.width == 1) {
         let Some(stem) = stem_of(&column.name, &["s", "sec", "secs", "seconds"]) else { continue };
         let other = columns().find(|(_, other)| {
             let own = stem_of(
@@ -540,12 +534,15 @@ fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock>
 /// The other rows may be those of other streams.
 fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let values = &column.values;
-    let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let back = steps.iter().filter(|step| **step < 0.0).count();
-    let mut ahead: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
+    let finite: Cow<'_, [f64]> = match values.iter().all(|value| value.is_finite()) {
+        true => values.as_slice().into(),
+        false => values.iter().copied().filter(|value| value.is_finite()).collect(),
+    };
+    let steps = || finite.windows(2).map(|pair| pair[1] - pair[0]);
+    let back = steps().filter(|step| *step < 0.0).count();
+    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
     let step = median(&mut ahead)?;
-    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) {
+    if 100 * back > MAX_BACKWARD_PERCENT * steps().len().max(100) {
         return None;
     }
     let (first, words) = (*finite.first()?, names::split_words(&column.name));
@@ -576,7 +573,7 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
         is_in_range.then_some(if nanos == 0 { 1 } else { nanos })
     };
     let grain = rounding_error(column);
-    let is_grid = steps.iter().all(|own| (own - step).abs() <= 2e-3 * step + grain);
+    let is_grid = steps().all(|own| (own - step).abs() <= 2e-3 * step + grain);
     let unit_name = match unit {
         1.0 => "s",
         1e-3 => "ms",

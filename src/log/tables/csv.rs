@@ -476,7 +476,7 @@ fn seconds(cell: &str) -> Option<f64> {
 }
 
 /// A date with time of day, a time of day or a duration such as `1 day, 0:00:01.5`, without time zone. Seconds are
-/// required: times in whole minutes are no stamps.
+/// required: times in whole minutes are not stamps.
 fn moment(cell: &str) -> Option<f64> {
     let lower = cell.to_ascii_lowercase();
     let (text, noon_h) = match (lower.strip_suffix("am"), lower.strip_suffix("pm")) {
@@ -501,7 +501,7 @@ fn moment(cell: &str) -> Option<f64> {
         }
         [year, month, day, time @ ..] if sides(year) == 4 => (Some([*year, *month, *day]), time),
         [first, second, year, time @ ..] if sides(year) == 4 && sides(first) <= 2 => {
-            // The day comes first with dots, otherwise the month unless it is none.
+            // The day comes first with dots. Otherwise the month does, unless it exceeds 12.
             let is_day_first = separators.first() == Some(&'.') || first.parse::<u8>().ok()? > 12;
             let [month, day] = if is_day_first { [*second, *first] } else { [*first, *second] };
             (Some([*year, month, day]), time)

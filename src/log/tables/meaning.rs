@@ -87,9 +87,9 @@ pub(super) fn identify_topics(
         groups.iter().flat_map(ColumnGroup::all_cells).copied().collect()
     };
     let is_clock_open = settings.time.is_none() && settings.rate_hz.is_none() && layout.is_none();
-    let own_clocks = match is_clock_open {
-        true => clock::detect_in_groups(table),
-        false => BTreeMap::new(),
+    let (own_clocks, further) = match is_clock_open {
+        true => clock::further_clocks(table, clock),
+        false => Default::default(),
     };
     let clocks: HashSet<(usize, usize)> = own_clocks
         .values()
@@ -143,7 +143,6 @@ pub(super) fn identify_topics(
         name_after_file(&mut groups, &table.stream_name);
     }
     let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
-    let further = if is_clock_open { clock::further_clocks(table, clock) } else { Vec::new() };
     let clock_of = |group: &ColumnGroup| -> (&Clock, &Clock) {
         let group_of = |cell: &Cell| clock::group_of(&table.columns[cell.column].name);
         let home = group.cells.first().and_then(group_of);
@@ -855,10 +854,12 @@ impl ColumnGroup {
             column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
         };
         let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
-        let (mut rows, mut unstamped) = (Vec::new(), 0);
+        let with_losses: Vec<usize> =
+            columns.into_iter().filter(|column| table.lost_rows.contains_key(column)).collect();
+        let (mut rows, mut unstamped) = (Vec::with_capacity(table.rows), 0);
         for (row, (stamp, own)) in clock.stamps.iter().zip(&own.stamps).enumerate() {
             // Reported as losses, not as gaps or NaN.
-            if columns.iter().any(|column| table.is_lost(*column, row))
+            if with_losses.iter().any(|column| table.is_lost(*column, row))
                 || own_rows.as_ref().is_some_and(|own_rows| !own_rows[row])
             {
                 continue;
@@ -876,15 +877,18 @@ impl ColumnGroup {
         let damaged = match meaning {
             ColumnMeaning::Unused => None,
             ColumnMeaning::Numbers if cells.len() < MIN_CELLS => None,
-            _ => row_losses::remove_damaged_rows(table, &mut rows, cells.len(), &|row| {
-                cells.iter().map(|cell| at(row, cell)).collect()
+            _ => row_losses::remove_damaged_rows(table, &mut rows, cells.len(), |row, cell| {
+                at(row, &cells[cell])
             }),
         };
         let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
-        let values_of = |cells: &[Cell]| -> Vec<f64> {
+        let values = || -> Vec<f64> {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
         };
-        let values = || values_of(&cells);
+        let usable_values_of = |cell: &Cell| {
+            let logged = rows.iter().map(|&(row, _)| at(row, cell));
+            logged.map(|value| if is_usable(value) { value } else { f64::NAN }).collect()
+        };
         let is_pose = matches!(meaning, ColumnMeaning::Pose);
         let velocity_cells = match &meaning {
             ColumnMeaning::Joints { velocities, .. } => {
@@ -902,15 +906,14 @@ impl ColumnGroup {
         };
         let columns = match meaning {
             ColumnMeaning::Joints { names, unnamed, lines, velocities } => {
-                let mut joints = joints(&stamps, &names, &values(), unnamed);
-                let speeds = values_of(&velocities);
-                for (at, joint) in joints.joints.iter_mut().enumerate().take(velocities.len()) {
-                    let own = speeds.iter().skip(at).step_by(velocities.len()).copied();
-                    joint.velocity = own.map(|v| if is_usable(v) { v } else { f64::NAN }).collect();
+                let positions = names.iter().zip(cells.iter().map(usable_values_of));
+                let mut joints = joints(&stamps, positions, unnamed);
+                for (joint, cell) in joints.joints.iter_mut().zip(&velocities) {
+                    joint.velocity = usable_values_of(cell).into();
                 }
                 for (joint, [factor, offset]) in joints.joints.iter_mut().zip(&lines) {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
-                    joint.velocity.iter_mut().for_each(|v| *v *= factor);
+                    joint.velocity.update(|v| v * factor);
                 }
                 // Velocities have the unit of the positions by default.
                 let in_words = |known: &[&str]| {
@@ -921,8 +924,7 @@ impl ColumnGroup {
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
                 let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
                 if in_words(names::DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
-                    let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.velocity);
-                    all.for_each(|velocity| *velocity = velocity.to_radians());
+                    joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
                 }
                 if are_degrees {
                     why += &match is_named {
@@ -991,21 +993,19 @@ impl ColumnGroup {
     }
 }
 
-fn joints(stamps: &[RowStamps], names: &[String], values: &[f64], unnamed: bool) -> JointColumns {
+/// `positions` are usable or NaN.
+fn joints<'a>(
+    stamps: &[RowStamps],
+    positions: impl Iterator<Item = (&'a String, Vec<f64>)>,
+    unnamed: bool,
+) -> JointColumns {
     let mut times = Times::default();
     stamps.iter().for_each(|stamp| times.push(stamp.column_ns, stamp.row_ns, stamp.row_ns));
     let mut joints = JointColumns { times, unnamed, ..JointColumns::default() };
-    for (at, name) in names.iter().enumerate() {
-        let logged = values.iter().skip(at).step_by(names.len()).copied();
-        let position: Vec<f64> =
-            logged.map(|value| if is_usable(value) { value } else { f64::NAN }).collect();
+    for (at, (name, position)) in positions.enumerate() {
         let unusable = position.iter().filter(|value| value.is_nan()).count();
         (0..unusable).for_each(|_| joints.drop_value(at));
-        joints.joints.push(JointColumn {
-            name: name.clone(),
-            velocity: vec![f64::NAN; position.len()],
-            position,
-        });
+        joints.joints.push(JointColumn::from_positions(name.clone(), position));
     }
     joints
 }

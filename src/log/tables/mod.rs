@@ -779,7 +779,7 @@ fn append(to: &mut Columns, more: Columns) -> bool {
             }
             for (to, more) in to.joints.iter_mut().zip(more.joints) {
                 to.position.extend(more.position);
-                to.velocity.extend(more.velocity);
+                to.velocity.extend_from(&more.velocity);
             }
             to.not_finite += more.not_finite;
         }
@@ -791,8 +791,8 @@ fn append(to: &mut Columns, more: Columns) -> bool {
         (Columns::Poses(to), Columns::Poses(more)) if to.len() == more.len() => {
             for (to, more) in to.iter_mut().zip(more) {
                 extend(&mut to.times, &more.times);
-                to.xyz.extend(more.xyz);
-                to.q_xyzw.extend(more.q_xyzw);
+                to.xyz.extend_from(&more.xyz);
+                to.q_xyzw.extend_from(&more.q_xyzw);
                 to.not_finite += more.not_finite;
             }
         }
@@ -830,7 +830,7 @@ fn pose_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> PoseColum
         xyz: array.values.chunks_exact(width).map(|row| [row[0], row[1], row[2]]).collect(),
         q_xyzw: array.values.chunks_exact(width).map(q_xyzw).collect(),
         not_finite: array.not_finite,
-        times: array.times,
+        times: array.times.into(),
         ..PoseColumns::default()
     }
 }

@@ -1,5 +1,6 @@
 //! Columns that repeat another column, or hold one value, in every row of every episode.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use super::{TableTopic, names};
@@ -33,7 +34,7 @@ impl RepeatCounts {
         self.episodes += 1;
         let all: Vec<ValueRows<'_>> =
             measured.iter().map(|(_, columns)| ValueRows::from_columns(columns)).collect();
-        let moves = |at: usize| all[at].changes() >= MIN_CHANGES;
+        let moves = |at: usize| all[at].has_changes(MIN_CHANGES);
         let is_arm = |columns: &Columns| matches!(columns, Columns::Joints(_));
         let arm_moves = (0..measured.len()).any(|at| is_arm(measured[at].1) && moves(at));
         for (at, (topic, columns)) in measured.iter().enumerate() {
@@ -43,7 +44,7 @@ impl RepeatCounts {
                 of,
             };
             if !moves(at) {
-                let is_still = all[at].changes() == 0 && arm_moves && !is_arm(columns);
+                let is_still = !all[at].has_changes(1) && arm_moves && !is_arm(columns);
                 self.add(is_still.then(|| of(None, None)));
                 continue;
             }
@@ -71,7 +72,7 @@ impl RepeatCounts {
 
 /// Rows, or the values of each joint; empty for other columns.
 struct ValueRows<'a> {
-    parts: Vec<&'a [f64]>,
+    parts: Vec<Cow<'a, [f64]>>,
     /// Values per row.
     width: usize,
 }
@@ -79,34 +80,41 @@ struct ValueRows<'a> {
 impl<'a> ValueRows<'a> {
     fn from_columns(columns: &'a Columns) -> Self {
         match columns {
-            Columns::Array(array) => Self { parts: vec![&array.values], width: array.width.max(1) },
-            Columns::Poses(poses) => Self {
-                parts: poses.iter().map(|poses| poses.xyz.as_flattened()).collect(),
-                width: 3,
-            },
+            Columns::Array(array) => {
+                Self { parts: vec![array.values.as_slice().into()], width: array.width.max(1) }
+            }
+            Columns::Poses(poses) => {
+                let flattened = |xyz: Cow<'a, [[f64; 3]]>| match xyz {
+                    Cow::Borrowed(xyz) => xyz.as_flattened().into(),
+                    Cow::Owned(xyz) => xyz.into_flattened().into(),
+                };
+                let xyz = poses.iter().map(|poses| poses.xyz.to_slice());
+                Self { parts: xyz.map(flattened).collect(), width: 3 }
+            }
             Columns::Joints(joints) => {
-                let joints = joints.joints.iter();
-                Self { parts: joints.map(|joint| joint.position.as_slice()).collect(), width: 1 }
+                let positions = joints.joints.iter().map(|joint| joint.position.as_slice());
+                Self { parts: positions.map(Cow::from).collect(), width: 1 }
             }
             _ => Self { parts: Vec::new(), width: 1 },
         }
     }
 
     fn of_joint(joint: &'a JointColumn) -> Self {
-        Self { parts: vec![&joint.position], width: 1 }
+        Self { parts: vec![joint.position.as_slice().into()], width: 1 }
     }
 
     fn len(&self) -> usize {
         self.parts.iter().map(|part| part.len() / self.width).sum()
     }
 
-    fn iter(&self) -> impl Iterator<Item = &'a [f64]> {
+    fn iter(&self) -> impl Iterator<Item = &[f64]> {
         self.parts.iter().flat_map(|part| part.chunks_exact(self.width))
     }
 
-    /// Number of rows that differ from the previous one.
-    fn changes(&self) -> usize {
-        self.iter().zip(self.iter().skip(1)).filter(|(a, b)| !are_bitwise_equal(a, b)).count()
+    /// Whether at least `count` rows differ from the previous one.
+    fn has_changes(&self, count: usize) -> bool {
+        let pairs = self.iter().zip(self.iter().skip(1));
+        pairs.filter(|(a, b)| !are_bitwise_equal(a, b)).take(count).count() == count
     }
 
     fn equals(&self, other: &Self) -> bool {
@@ -127,9 +135,9 @@ fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let own: Vec<ValueRows<'_>> = arm.iter().map(|joint| ValueRows::of_joint(joint)).collect();
     let mut found = Vec::new();
     for (at, joint) in arm.iter().enumerate() {
-        let count = own[at].changes();
-        let other = (0..at).find(|&other| count >= MIN_CHANGES && own[at].equals(&own[other]));
-        if other.is_some() || count == 0 {
+        let moves = own[at].has_changes(MIN_CHANGES);
+        let other = (0..at).find(|&other| moves && own[at].equals(&own[other]));
+        if other.is_some() || !own[at].has_changes(1) {
             found.push((joint.name.clone(), other.map(|other| arm[other].name.clone())));
         }
     }

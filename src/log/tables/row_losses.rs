@@ -280,23 +280,29 @@ pub(super) fn remove_damaged_rows<T: Copy>(
     table: &Table,
     rows: &mut Vec<(usize, T)>,
     width: usize,
-    values: &dyn Fn(usize) -> Vec<f64>,
+    value: impl Fn(usize, usize) -> f64,
 ) -> Option<(u64, String)> {
     /// Share of usable rows in a column without gaps.
     const MIN_USABLE_PERCENT: usize = 90;
-    let unusable_in = |(row, _): &(usize, T)| -> Vec<usize> {
-        let own = values(*row);
-        let unusable = own.iter().enumerate().filter(|(_, value)| !is_usable(**value));
-        let cells: Vec<usize> = unusable.map(|(cell, _)| cell).collect();
-        if cells.len() == own.len() { Vec::new() } else { cells }
+    let is_unusable = |row: usize, cell: usize| !is_usable(value(row, cell));
+    let is_incomplete = |row: usize| {
+        let unusable = (0..width).filter(|&cell| is_unusable(row, cell)).count();
+        (1..width).contains(&unusable)
     };
-    let unusable: Vec<Vec<usize>> = rows.iter().map(unusable_in).collect();
     let mut counts = vec![0; width];
-    unusable.iter().flatten().for_each(|cell| counts[*cell] += 1);
+    for &(row, _) in rows.iter().filter(|(row, _)| is_incomplete(*row)) {
+        (0..width).filter(|&cell| is_unusable(row, cell)).for_each(|cell| counts[cell] += 1);
+    }
+    if counts.iter().all(|count| *count == 0) {
+        return None;
+    }
     let is_dense =
-        |cell: &usize| 100 * (rows.len() - counts[*cell]) >= MIN_USABLE_PERCENT * rows.len();
-    let damaged: Vec<usize> =
-        unusable.iter().map(|own| own.iter().filter(|cell| is_dense(cell)).count()).collect();
+        |cell: usize| 100 * (rows.len() - counts[cell]) >= MIN_USABLE_PERCENT * rows.len();
+    let damaged_cells = |&(row, _): &(usize, T)| match is_incomplete(row) {
+        true => (0..width).filter(|&cell| is_unusable(row, cell) && is_dense(cell)).count(),
+        false => 0,
+    };
+    let damaged: Vec<usize> = rows.iter().map(damaged_cells).collect();
     let first = damaged.iter().position(|count| *count == 0)?;
     let last = damaged.iter().rposition(|count| *count == 0)?;
     let is_damaged = |at: usize| (first..last).contains(&at) && damaged[at] > 0;
@@ -330,11 +336,11 @@ mod tests {
         let of = |damaged: &[(usize, usize)]| {
             let table = Table { rows: 40, ..Table::default() };
             let mut rows: Vec<(usize, ())> = (0..40).map(|row| (row, ())).collect();
-            let values = |row: usize| -> Vec<f64> {
-                let is_damaged = |cell: usize| damaged.contains(&(row, cell));
-                (0..3).map(|cell| if is_damaged(cell) { f64::NAN } else { 1.0 }).collect()
+            let value = |row: usize, cell: usize| match damaged.contains(&(row, cell)) {
+                true => f64::NAN,
+                false => 1.0,
             };
-            let taken = remove_damaged_rows(&table, &mut rows, 3, &values);
+            let taken = remove_damaged_rows(&table, &mut rows, 3, value);
             (taken.map(|(count, what)| format!("{count}: {what}")), rows.len())
         };
         assert_eq!(of(&[]), (None, 40));

@@ -87,14 +87,9 @@ pub(super) fn read<'a>(
     for group in blocks.chunks(BLOCKS_PER_THREAD * rayon::current_num_threads()) {
         let group = group.par_iter().map(|block| Block::read(&bytes[block.clone()], format));
         let group: Vec<Block<'a>> = group.collect();
-        let rows = group.iter().map(|block| block.rows.lines.len()).sum();
-        for _ in 0..rows {
-            context.memory.reserve(width + 1)?;
-            // Two numbers, and the mark for a missing one.
-            for _ in format.times {
-                context.memory.reserve(4)?;
-            }
-        }
+        let rows: usize = group.iter().map(|block| block.rows.lines.len()).sum();
+        // Times take two more numbers, and the mark for a missing one.
+        context.memory.reserve(rows * (width + 1 + 4 * format.times.len()))?;
         for block in group {
             all.extend(&block.rows, line);
             if let Some(own) = block.cut_off {

@@ -115,7 +115,7 @@ impl Velocities {
             return Err("but they follow the joint positions, not their rates");
         }
         for (at, joint) in joints.joints.iter_mut().enumerate() {
-            joint.velocity = velocities(at);
+            joint.velocity = velocities(at).into();
         }
         Ok(())
     }

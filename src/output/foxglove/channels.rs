@@ -174,7 +174,7 @@ fn has_named_pose(array: &ArrayColumns, cells: &[TableCell]) -> bool {
 }
 
 fn named_poses(array: &ArrayColumns) -> PoseColumns {
-    let mut poses = PoseColumns { times: array.times.clone(), ..PoseColumns::default() };
+    let mut poses = PoseColumns { times: array.times.clone().into(), ..PoseColumns::default() };
     for row in 0..array.times.len() {
         if let &[x, y, z, qx, qy, qz, qw] = array.row(row) {
             poses.xyz.push([x, y, z]);
@@ -240,8 +240,9 @@ fn content_of(columns: &Columns, part: usize, row: usize) -> Value {
 fn joint_states(stamp: Value, joints: &JointColumns, row: usize) -> Value {
     let states = joints.joints.iter().map(|joint| {
         let mut state = json!({ "name": joint.name });
-        for (field, column) in [("position", &joint.position), ("velocity", &joint.velocity)] {
-            if let Some(value) = column.get(row).filter(|value| value.is_finite()) {
+        let (position, velocity) = (joint.position.get(row), joint.velocity.get(row));
+        for (field, value) in [("position", position), ("velocity", velocity)] {
+            if let Some(value) = value.filter(|value| value.is_finite()) {
                 state[field] = json!(value);
             }
         }

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use crate::run::arm::Arm;
 use crate::run::role::is_detection_frame;
 use crate::run::tf_tree::strip_slash;
-use crate::stream::{Columns, JointColumns, PoseColumns, Times};
+use crate::stream::{Column, Columns, JointColumns, PoseColumns, Times};
 
 pub(super) struct CadencePart<'a> {
     /// Index of the stream's part.
@@ -27,7 +27,8 @@ pub(super) struct RowOrder {
 impl CadencePart<'_> {
     /// Whether both parts have the same times.
     pub fn has_times_of(&self, other: &Self) -> bool {
-        self.rows.rows == other.rows.rows && self.times == other.times
+        let is_shared = std::ptr::eq(self.times, other.times);
+        self.rows.rows == other.rows.rows && (is_shared || self.times == other.times)
     }
 
     /// Splits by publisher, given the rows of the second.
@@ -71,7 +72,7 @@ impl RowOrder {
 pub(super) enum PartColumns<'a> {
     Joints(&'a JointColumns),
     Poses(&'a PoseColumns),
-    Numbers(Vec<&'a [[f64; 3]]>),
+    Numbers([&'a Column<[f64; 3]>; 2]),
     Array(&'a [f64], usize),
 }
 
@@ -131,7 +132,7 @@ pub(super) fn split_parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Cadence
                 .collect()
         }
         Columns::Imu(imu) => {
-            vec![whole(0, &imu.times, PartColumns::Numbers(vec![&imu.gyro, &imu.accel]))]
+            vec![whole(0, &imu.times, PartColumns::Numbers([&imu.gyro, &imu.accel]))]
         }
         Columns::Array(array) => {
             vec![whole(0, &array.times, PartColumns::Array(&array.values, array.width))]
@@ -140,7 +141,7 @@ pub(super) fn split_parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Cadence
     }
 }
 
-/// Whether a transform is between the arm's links; without an arm, whether it is no camera detection.
+/// Whether a transform is between the arm's links; without an arm, whether it is not a camera detection.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
         (strip_slash(&transform.frame_id), strip_slash(&transform.child_frame_id));

@@ -164,7 +164,7 @@ fn a_stamp_used_twice_is_a_repeat_or_a_conflict() {
     let found = cadence(&columns);
     assert_eq!((found.repeats, found.conflicts, missing(&found)), (0, 10, 10));
     if let Columns::Poses(poses) = &mut columns {
-        poses[0].xyz.fill([0.0; 3]);
+        poses[0].xyz.update(|_| [0.0; 3]);
     }
     let found = cadence(&columns);
     assert_eq!((found.repeats, found.conflicts), (10, 0));

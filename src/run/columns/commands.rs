@@ -169,10 +169,9 @@ fn to_joint_commands(numbers: Columns, joints: &JointColumns) -> Columns {
     let Columns::Array(array) = numbers else { return numbers };
     let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
     let rows = array.times.len();
-    let column = |(at, joint): (usize, &JointColumn)| JointColumn {
-        name: joint.name.clone(),
-        position: (0..rows).map(|row| factor * array.row(row)[at]).collect(),
-        velocity: vec![f64::NAN; rows],
+    let column = |(at, joint): (usize, &JointColumn)| {
+        let position = (0..rows).map(|row| factor * array.row(row)[at]).collect();
+        JointColumn::from_positions(joint.name.clone(), position)
     };
     Columns::Joints(JointColumns {
         joints: joints.joints.iter().enumerate().map(column).collect(),

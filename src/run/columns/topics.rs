@@ -3,7 +3,7 @@
 use crate::diagnosis::{ColumnContent, JointValueUnit};
 use crate::log::{Log, TableCell, Topic};
 use crate::robot::Chain;
-use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
+use crate::stream::{ArrayColumns, Column, Columns, JointColumn, JointColumns, PoseColumns};
 
 use super::cells::{is_unidentified, selectors};
 use super::roles::IdentifiedArm;
@@ -230,7 +230,7 @@ fn joints(
             position: numbers(joint).map(|q| factor * q + offset).collect(),
             velocity: match count + joint < array.width {
                 true => numbers(count + joint).map(|rate| factor * rate).collect(),
-                false => vec![f64::NAN; array.times.len()],
+                false => Column::constant(f64::NAN, array.times.len()),
             },
         }
     };
@@ -248,9 +248,9 @@ fn joints(
 fn positions(array: ArrayColumns) -> PoseColumns {
     PoseColumns {
         xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
-        q_xyzw: vec![[0.0; 4]; array.times.len()],
+        q_xyzw: Column::constant([0.0; 4], array.times.len()),
         not_finite: array.not_finite,
-        times: array.times,
+        times: array.times.into(),
         ..PoseColumns::default()
     }
 }

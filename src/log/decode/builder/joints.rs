@@ -156,10 +156,7 @@ impl Joints {
         let mut order = Vec::with_capacity(later.columns.joints.len());
         for joint in &later.columns.joints {
             order.push(*self.by_name.entry(joint.name.clone()).or_insert_with(|| {
-                let absent = vec![f64::NAN; before];
-                let name = joint.name.clone();
-                let own = JointColumn { name, position: absent.clone(), velocity: absent };
-                self.columns.joints.push(own);
+                self.columns.joints.push(JointColumn::absent(joint.name.clone(), before));
                 self.columns.joints.len() - 1
             }));
         }
@@ -174,14 +171,14 @@ impl Joints {
         own.times.append(&later.times);
         for (&column, joint) in order.iter().zip(&later.joints) {
             own.joints[column].position.extend_from_slice(&joint.position);
-            own.joints[column].velocity.extend_from_slice(&joint.velocity);
+            own.joints[column].velocity.extend_from(&joint.velocity);
         }
         for (&column, &unusable) in order.iter().zip(&later.unusable) {
             own.count_unusable(column, unusable);
         }
         for joint in &mut own.joints {
             joint.position.resize(before + rows, f64::NAN);
-            joint.velocity.resize(before + rows, f64::NAN);
+            joint.velocity.extend_constant(f64::NAN, before + rows - joint.velocity.len());
         }
     }
 
@@ -198,12 +195,8 @@ impl Joints {
                     return Err(TooManyJoints::Names);
                 }
                 None => {
-                    let absent = vec![f64::NAN; rows];
-                    self.columns.joints.push(JointColumn {
-                        name: bounded(name).into_owned(),
-                        position: absent.clone(),
-                        velocity: absent,
-                    });
+                    let shown = bounded(name).into_owned();
+                    self.columns.joints.push(JointColumn::absent(shown, rows));
                     let column = self.columns.joints.len() - 1;
                     self.by_name.insert(name.to_owned(), column);
                     column

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::super::row::{self, Group, Row, RowTimes};
 use super::super::schema::bounded;
 use super::values::{all_usable, push_times, quaternion};
-use ground::stream::PoseColumns;
+use ground::stream::{PoseColumns, SharedTimes};
 
 /// Child frames of poses identified by index; the first one names a single pose. Particle clouds and
 /// paths have more poses.
@@ -32,6 +32,8 @@ pub(in crate::decode) struct Poses {
     pub(super) next: Vec<usize>,
     /// Rows beyond [`MAX_FRAMES`].
     pub(super) refused: u64,
+    /// Whether rows were appended since the groups shared their times.
+    pub(super) may_share_times: bool,
 }
 
 impl Poses {
@@ -67,6 +69,7 @@ impl Poses {
         push_times(&mut group.times, row.stamp(), times);
         group.xyz.push(xyz);
         group.q_xyzw.push(q_xyzw);
+        self.may_share_times = true;
     }
 
     /// `None` if there are too many.
@@ -128,23 +131,61 @@ impl Poses {
         self.groups.len() + later.keys().iter().filter(is_new).count() <= MAX_FRAMES
     }
 
-    pub(super) fn join(&mut self, later: Self) {
+    pub(super) fn join(&mut self, mut later: Self) {
+        self.share_times();
+        later.share_times();
         self.refused += later.refused;
         let keys: Vec<String> = later.keys().into_iter().map(str::to_owned).collect();
+        let mut added: Vec<(usize, SharedTimes)> = Vec::new();
         for (key, group) in keys.into_iter().zip(later.groups) {
             match self.by_frames.get(&key) {
                 Some(&known) => {
                     let own = &mut self.groups[known];
                     own.not_finite += group.not_finite;
-                    own.times.append(&group.times);
-                    own.xyz.extend_from_slice(&group.xyz);
-                    own.q_xyzw.extend_from_slice(&group.q_xyzw);
+                    own.xyz.extend_from(&group.xyz);
+                    own.q_xyzw.extend_from(&group.q_xyzw);
+                    added.push((known, group.times));
                 }
                 None => {
                     self.by_frames.insert(key, self.groups.len());
                     self.groups.push(group);
                 }
             }
+        }
+        self.append_times(&added);
+    }
+
+    /// Lets successive groups with equal times share them: a message contains transforms of one stamp.
+    fn share_times(&mut self) {
+        /// Bounds the time of comparisons if joins alternate with appended rows.
+        const MAX_COMPARED_ROWS: usize = 1 << 16;
+        if !std::mem::take(&mut self.may_share_times) {
+            return;
+        }
+        for at in 1..self.groups.len() {
+            let (before, own) = (&self.groups[at - 1].times, &self.groups[at].times);
+            if own.len() <= MAX_COMPARED_ROWS && before == own {
+                self.groups[at].times = before.clone();
+            }
+        }
+    }
+
+    /// Appends times to groups. Groups that share times and receive shared ones still share them.
+    fn append_times(&mut self, added: &[(usize, SharedTimes)]) {
+        let groups = &mut self.groups;
+        let mut rest = added;
+        while let [(first, times), ..] = rest {
+            let is_shared = |(group, other): &&(usize, SharedTimes)| {
+                times.is_shared_with(other)
+                    && groups[*first].times.is_shared_with(&groups[*group].times)
+            };
+            let (alike, others) = rest.split_at(rest.iter().take_while(is_shared).count());
+            rest = others;
+            let mut all = std::mem::take(&mut groups[*first].times);
+            // The times are copied unless this is their only use.
+            alike.iter().for_each(|(group, _)| groups[*group].times = SharedTimes::default());
+            all.append(times);
+            alike.iter().for_each(|(group, _)| groups[*group].times = all.clone());
         }
     }
 }
@@ -225,6 +266,71 @@ fn remove_model_names(groups: &mut [PoseColumns]) {
     for (group, link) in groups.iter_mut().zip(&links) {
         if models[link.as_str()] == 1 {
             group.child_frame_id.clone_from(link);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const CHILDREN: [&str; 3] = ["a", "b", "c"];
+
+    /// Rows of one chunk, by index of the child frame and stamps.
+    fn chunk(rows: &[(usize, Vec<i64>)]) -> Poses {
+        let mut poses = Poses { may_share_times: true, ..Poses::default() };
+        for (child, stamps) in rows {
+            let group = poses.find("base", CHILDREN[*child]).expect("room for the pair");
+            let group = &mut poses.groups[group];
+            for &stamp in stamps {
+                group.times.push(stamp, stamp + 1, stamp + 1);
+                group.xyz.push([stamp as f64, 0.0, 0.0]);
+                group.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
+            }
+        }
+        poses
+    }
+
+    #[test]
+    fn transforms_of_the_same_messages_share_their_times() {
+        let mut joined = Poses::default();
+        for first in [10, 30] {
+            joined.join(chunk(&[(0, vec![first, first + 9]), (1, vec![first, first + 9])]));
+        }
+        let [a, b] = [0, 1].map(|group| &joined.groups[group].times);
+        assert!(a.is_shared_with(b) && a.header == [10, 19, 30, 39]);
+        joined.join(chunk(&[(0, vec![50]), (1, vec![51])]));
+        let [a, b] = [0, 1].map(|group| joined.groups[group].times.header.last());
+        assert_eq!((a, b), (Some(&50), Some(&51)));
+    }
+
+    proptest! {
+        #[test]
+        fn shared_times_are_those_of_the_rows(
+            chunks in prop::collection::vec(
+                prop::collection::vec((0..CHILDREN.len(), prop::collection::vec(1_i64..3, 0..3)), 0..4),
+                0..5,
+            )
+        ) {
+            let mut joined = Poses::default();
+            let mut expected: BTreeMap<&str, Vec<i64>> = BTreeMap::new();
+            for rows in &chunks {
+                for (child, stamps) in rows {
+                    expected.entry(CHILDREN[*child]).or_default().extend(stamps);
+                }
+                joined.join(chunk(rows));
+            }
+            prop_assert_eq!(joined.groups.len(), expected.len());
+            for group in &joined.groups {
+                let stamps = &expected[group.child_frame_id.as_str()];
+                prop_assert_eq!(&group.times.header, stamps);
+                let x: Vec<f64> = group.xyz.iter().map(|xyz| xyz[0]).collect();
+                prop_assert!(x.iter().zip(stamps).all(|(x, stamp)| *x == *stamp as f64));
+            }
         }
     }
 }

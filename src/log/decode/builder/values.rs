@@ -33,9 +33,9 @@ pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
     imu.has_orientation |= later.has_orientation;
     imu.not_finite += later.not_finite;
     imu.times.append(&later.times);
-    imu.q_xyzw.extend_from_slice(&later.q_xyzw);
-    imu.gyro.extend_from_slice(&later.gyro);
-    imu.accel.extend_from_slice(&later.accel);
+    imu.q_xyzw.extend_from(&later.q_xyzw);
+    imu.gyro.extend_from(&later.gyro);
+    imu.accel.extend_from(&later.accel);
 }
 
 #[derive(Clone, Debug)]

@@ -358,7 +358,7 @@ fn transforms_are_the_same_in_every_encoding() {
             let mut read: Vec<_> = groups
                 .iter()
                 .flat_map(|group| {
-                    let poses = group.xyz.iter().zip(&group.q_xyzw);
+                    let poses = group.xyz.iter().zip(group.q_xyzw.iter());
                     group.times.header.iter().zip(poses).map(|(&t, (&xyz, &q))| (t, xyz, q))
                 })
                 .collect();

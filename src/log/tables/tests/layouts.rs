@@ -115,7 +115,7 @@ proptest! {
         prop_assert_eq!(joints(&by_name, "q").1, joints(&by_position, "joints").1);
         let xyz = |log: &Log, name: &str| match &topic(log, name).columns {
             Some(Columns::Poses(poses)) => poses[0].xyz.clone(),
-            _ => Vec::new(),
+            _ => Default::default(),
         };
         prop_assert_eq!(xyz(&by_name, "pose"), xyz(&by_position, "pose"));
     }

@@ -13,8 +13,8 @@ use ground::robot::Chain;
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
-/// The reference and the tool of `found`, beside link deviations. `None` unless the frame is `free`.
-pub(crate) fn frames_beside_links(
+/// Estimates the reference and the tool of `found` together with link deviations. `None` unless the frame is `free`.
+pub(crate) fn frames_with_links(
     found: &PoseDiagnosis,
     chain: &Chain,
     free: [bool; 2],
@@ -64,7 +64,7 @@ pub(crate) fn frames_beside_links(
             Some(FrameEstimate { pose, translation_m, rotation_rad, ..before.clone() })
         };
         let [reference, tool] = Frame::BOTH;
-        Some([estimate((reference, free[0])), estimate((tool, free[1]))])
+        Some([(reference, free[0]), (tool, free[1])].map(estimate))
     };
     let is_known = free.contains(&true) && found.encoding.is_ok();
     is_known.then(estimates).flatten().unwrap_or_default()
