@@ -285,8 +285,7 @@ pub(super) fn add_likeliest_effects<M: Model>(
 fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> Option<M> {
     let linearization = model.linearize();
     let t_s = &linearization.t_s;
-    let mut base: Vec<(usize, f64)> =
-        model.tested_with().into_iter().map(|column| (column, 0.0)).collect();
+    let mut base = model.tested_with();
     for Prior { column, variance, .. } in model.priors() {
         base.retain(|parameter| parameter.0 != column);
         base.push((column, variance.recip()));
@@ -442,8 +441,8 @@ mod tests {
             vec![0]
         }
 
-        fn tested_with(&self) -> Vec<usize> {
-            [0, 1].into_iter().chain(self.effects.columns()).collect()
+        fn tested_with(&self) -> Vec<(usize, f64)> {
+            [0, 1].into_iter().chain(self.effects.columns()).map(|column| (column, 0.0)).collect()
         }
 
         fn priors(&self) -> Vec<Prior> {

@@ -540,12 +540,17 @@ impl Model for GyroModel<'_> {
     }
 
     /// With the scale error, which a change may imitate.
-    fn tested_with(&self) -> Vec<usize> {
+    fn tested_with(&self) -> Vec<(usize, f64)> {
         let constant: Vec<usize> = match self.moves {
             true => (0..Self::WIDTH).filter(|column| *column != Self::SKEW).collect(),
             false => Self::BIAS.collect(),
         };
-        constant.into_iter().chain(self.effects.columns()).collect()
+        let precision = |column: usize| match Self::SCALE_ERROR.contains(&column) {
+            true => GYRO_SCALE_PRIOR.powi(-2),
+            false => 0.0,
+        };
+        let columns = constant.into_iter().chain(self.effects.columns());
+        columns.map(|column| (column, precision(column))).collect()
     }
 
     fn priors(&self) -> Vec<Prior> {

@@ -539,8 +539,8 @@ impl Model for OrientationModel<'_> {
         }
     }
 
-    fn tested_with(&self) -> Vec<usize> {
-        (0..Self::LINKS_START).chain(self.effects.columns()).collect()
+    fn tested_with(&self) -> Vec<(usize, f64)> {
+        (0..Self::LINKS_START).chain(self.effects.columns()).map(|column| (column, 0.0)).collect()
     }
 
     /// Rotations of the links between the first and the last joint, and effects.

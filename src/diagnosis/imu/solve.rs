@@ -28,8 +28,8 @@ pub(super) trait Model: Clone {
 
     fn columns_of(&self, block: Block) -> Vec<usize>;
 
-    /// Parameters that are fitted while effects are tested.
-    fn tested_with(&self) -> Vec<usize>;
+    /// Parameters that are fitted while effects are tested, with the precision of their prior about zero.
+    fn tested_with(&self) -> Vec<(usize, f64)>;
 
     /// Columns with a normal prior about zero. They are always fitted.
     fn priors(&self) -> Vec<Prior>;
