@@ -37,8 +37,7 @@ rule! {
     ///
     /// ## When it misleads
     /// A wrong static transform and a wrongly mounted sensor look the same. Zero offsets of the wrist
-    /// joints also rotate the mount; the offsets found are corrected first. If the motion does not determine
-    /// the mount, gravity at rest does in part: the finding then assumes that the base's z axis is vertical.
+    /// joints also rotate the mount; the offsets found are corrected first.
     YAW003 {
         name: "imu-mount",
         grade: Grade::From(&[THRESHOLD]),
@@ -130,9 +129,10 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
             )
         }
         (Err(why), None) => match gravity_error(imu).filter(|tilt| *tilt > threshold.error) {
-            Some(tilt_rad) => imu
-                .judged(Outcome::fail(off_gravity(imu, tilt_rad)))
-                .estimated(Estimate::exact("mount error", THRESHOLD.unit.symbol(), tilt_rad)),
+            Some(tilt_rad) => imu.judged(Outcome::Inconclusive(format!(
+                "gravity is {} off the base's vertical: the mount is wrong, or the base is tilted; {SETTLE}",
+                THRESHOLD.unit.show(tilt_rad)
+            ))),
             None => imu.judged(not_observable(why, SETTLE)),
         },
         (Ok(mount), None) => {
@@ -177,23 +177,6 @@ fn gravity_error(imu: &StreamEvidence<ImuEvidence>) -> Option<f64> {
     let assumed = imu.diagnosis.link_from_imu?;
     let [low, high] = up.base_tilt_rad.norm.interval(0.95);
     (angle_between(&logged, &assumed) < f64::EPSILON.sqrt()).then(|| low.min(PI - high))
-}
-
-fn off_gravity(imu: &StreamEvidence<ImuEvidence>, tilt_rad: f64) -> Fault {
-    let tilt = Unit::Radian.show(tilt_rad);
-    Fault {
-        severity: Severity::Warning,
-        cause: Cause::Pictured(Picture::ImuAxes),
-        title: "IMU mount contradicts gravity",
-        message: format!(
-            "with the mount in the log's frames, the accelerometer of {} feels gravity {tilt} off the base's \
-             vertical: the mount is wrong, unless the base is tilted",
-            imu.link
-        ),
-        evidence: Evidence::default(),
-        fix: "correct the IMU's static transform, or rotate the IMU about two axes to decide"
-            .to_owned(),
-    }
 }
 
 const AXES: [&str; 3] = ["x", "y", "z"];

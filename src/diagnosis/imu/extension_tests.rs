@@ -32,6 +32,8 @@ pub(super) struct ExtensionTests<'a> {
     normal: Normal,
     /// Base model under its own noise.
     fit: BaseFit,
+    /// Its variance.
+    variance: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -128,8 +130,10 @@ impl<'a> ExtensionTests<'a> {
             model_error,
             normal,
             fit,
+            variance: sigma.powi(2),
         };
         let noise = tests.noise(&tests.fit.parameters, &[], &[], &[]);
+        tests.variance = noise.variance;
         tests.fit = BaseFit::new(&tests.normal, &tests.precision, noise.variance)?;
         Some(tests)
     }
@@ -269,7 +273,8 @@ impl<'a> ExtensionTests<'a> {
     /// Twice the log Bayes factor, and the variance of independent noise.
     fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
         let added = self.sums(columns, weights);
-        let noise = self.noise_with(&self.fit, columns, weights, &added, 0.0)?;
+        let precision = self.variance / size.powi(2);
+        let noise = self.noise_with(&self.fit, columns, weights, &added, precision)?;
         let log_bayes_factor = self.evidence(columns, weights, &added, size.powi(2), noise)?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
     }

@@ -554,6 +554,12 @@ impl Model for GyroModel<'_> {
     }
 
     fn priors(&self) -> Vec<Prior> {
-        self.effects.priors()
+        let prior = |(column, at)| Prior {
+            column,
+            variance: GYRO_SCALE_PRIOR.powi(2),
+            value: self.scale_error[at],
+        };
+        let scale = Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES).filter(|_| self.has_scale_error);
+        scale.map(prior).chain(self.effects.priors()).collect()
     }
 }
