@@ -104,7 +104,10 @@ use ground::geometry::{
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
-pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived, full_fit_count};
+pub use arm::{
+    best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived, follows_with_other_encoding,
+    full_fit_count,
+};
 pub use calibration::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FixedPoint,
     FkUncertainty, FrameFreedom, LinkParameter, PointDistance, StreamCalibration,

@@ -267,11 +267,17 @@ impl Run {
     }
 
     /// Decides whether candidate `stream` is a tool pose. `peak` is its highest speed correlation with the
-    /// arm, 0 to 1, or `None` if the motion does not decide.
+    /// arm, 0 to 1, or `None` if the motion does not decide. `follows_otherwise`: it follows if the joint states are
+    /// interpreted otherwise.
     ///
     /// A rejected candidate becomes a command or camera target if its name says so, else unassigned. Its
     /// sources remain until [`Run::remove_rejected`].
-    pub(crate) fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
+    pub(crate) fn resolve_candidate(
+        &mut self,
+        stream: usize,
+        peak: Option<f64>,
+        follows_otherwise: bool,
+    ) {
         let Some(resolved) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = resolved.role else { return };
         let is_compared = |arm: &Arm| {
@@ -280,6 +286,9 @@ impl Run {
         let reference = self.arms.iter().find(|arm| is_compared(arm));
         let of = reference.map_or("the arm".to_owned(), |arm| format!("'{}'", arm.name));
         let (is_pose, verdict) = match peak {
+            _ if follows_otherwise => {
+                (true, format!("it follows {of} if the joint states are interpreted otherwise"))
+            }
             Some(peak)
                 if peak >= MIN_FOLLOWER_CORRELATION
                     || (reference.is_some() && peak >= MIN_PRESUMED_CORRELATION) =>

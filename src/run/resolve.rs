@@ -9,11 +9,12 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, best_lag_peak, candidate_lags,
     detect_base_motion, detect_tool_switching, diagnose_imu, estimate_moving_base_lag,
-    follows_as_logged, is_seen_from_tool, position_misfit_m, rotation_lag_peaks,
+    follows_as_logged, follows_with_other_encoding, is_seen_from_tool, position_misfit_m,
+    rotation_lag_peaks,
 };
 use crate::run::{
-    Arm, HandKind, HandSource, ImuSource, NotAudited, NotAuditedReason, PoseSource, Role, Run,
-    SharedStream, Stream, with_key,
+    Arm, HandKind, HandSource, ImuSource, MIN_FOLLOWER_CORRELATION, NotAudited, NotAuditedReason,
+    PoseSource, Role, Run, SharedStream, Stream, with_key,
 };
 use crate::stream::{Orientations, PoseTrack};
 
@@ -241,9 +242,20 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
         let lead_s = found
             .zip(peak)
             .and_then(|((arm, source), peak)| stream_lead_s(run, arm, source, peak, &mut lags));
+        // Joint states with a wrong sign, unit or order move otherwise.
+        let is_doubtful = lead_s.is_some()
+            || peak.is_some_and(|peak| peak.correlation < MIN_FOLLOWER_CORRELATION);
+        let follows_otherwise = is_doubtful
+            && found.is_some_and(|(arm, source)| {
+                source.stamps_copied
+                    && follows_with_other_encoding(&arm.joints, &run.pose_stream(source), max_lag_s)
+            });
         match lead_s {
-            Some(lead_s) => run.resolve_leader(candidate, lead_s),
-            None => run.resolve_candidate(candidate, peak.map(|peak| peak.correlation)),
+            Some(lead_s) if !follows_otherwise => run.resolve_leader(candidate, lead_s),
+            _ => {
+                let peak = peak.map(|peak| peak.correlation);
+                run.resolve_candidate(candidate, peak, follows_otherwise);
+            }
         }
     }
     run.remove_rejected(&candidates);

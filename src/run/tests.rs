@@ -125,7 +125,7 @@ fn a_pose_measured_onto_tf_is_a_candidate_and_no_part_of_the_arm() {
         .collect();
     assert_eq!(children, [("tool0_controller", "unassigned"), ("tool0", "pose")]);
     assert_eq!(run.candidates().collect::<Vec<_>>(), [3]);
-    run.resolve_candidate(3, Some(0.97));
+    run.resolve_candidate(3, Some(0.97), false);
     assert_eq!(run.streams[3].role, Role::Pose);
     assert_eq!(run.arms[0].poses.len(), 2);
 }
@@ -137,7 +137,7 @@ fn a_candidate_that_does_not_follow_is_unassigned_with_the_reason() {
     recording.add_pose("/hand_pose", poses("base", "", |_| some_pose()));
     let mut run = recording.run();
     for (stream, peak) in [(1, Some(0.5)), (2, Some(0.5))] {
-        run.resolve_candidate(stream, peak);
+        run.resolve_candidate(stream, peak, false);
     }
     run.remove_rejected(&[1, 2]);
     assert_eq!(role_of(&run, "/camera_mount_pose").0, "unassigned");

@@ -9,7 +9,7 @@ mod zeros;
 use std::cell::LazyCell;
 
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
-use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach};
+use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::frames::position_fit::spread;
 use crate::joints::{
     CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, likely_encodings,
@@ -492,6 +492,17 @@ pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -
             || follows_arm(joints, stream, position_encoding.metres(), peak.lag_s)
     };
     Some(if is_positioned { peak } else { LagPeak { correlation: 0.0, ..peak } })
+}
+
+/// Whether the stream fits the arm closely if the joint states have another sign, unit, order or zero.
+pub fn follows_with_other_encoding(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    max_lag_s: f64,
+) -> bool {
+    let metres = metres_by_size(joints, stream);
+    estimate_joint_encoding(joints, &[*stream], &[metres], max_lag_s)
+        .is_ok_and(|encoding| !encoding.is_as_logged())
 }
 
 /// Candidate lags from speeds, best first.
