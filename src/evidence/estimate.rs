@@ -4,9 +4,9 @@ use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
 use super::joint_topics::{JointTopicLatency, with_corrected_topic};
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
-    LatencyProfile, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream, StreamResidual,
-    best_lag_peak, compensate_latency, diagnose_derived, diagnose_imu_with_latency_compensation,
-    diagnose_run, fault_count, position_misfit_m,
+    ImuStream, LatencyProfile, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream,
+    StreamResidual, best_lag_peak, compensate_latency, diagnose_derived,
+    diagnose_imu_with_latency_compensation, diagnose_run, fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
@@ -296,12 +296,17 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
             }
         })
     };
+    let residuals = diagnosis.streams.iter().filter_map(|stream| stream.residual.as_ref().ok());
+    let fk_error_rad = residuals.map(|residual| residual.excess_rad.value).fold(0.0, f64::max);
     let imu = |source: &ImuSource| match &diagnosis.joints.encoding {
         // Without an interpretation of the joint states, FK is meaningless.
         Err(NotObservable::NotExcited) => ImuDiagnosis::not_observable(&NotObservable::RestsOn(
             "the order and the unit of the joint positions",
         )),
-        _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), max_lag_s),
+        _ => {
+            let stream = ImuStream { fk_error_rad, ..source.as_stream() };
+            diagnose_imu_with_latency_compensation(&corrected, stream, max_lag_s)
+        }
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
     ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None, joint_clock: None, joint_topic: None }

@@ -115,6 +115,7 @@ impl ImuSource {
             link_from_imu: self.link_from_imu,
             removed_ramp: None,
             stamp_error_s: self.stamp_error_s,
+            fk_error_rad: 0.0,
         }
     }
 }

@@ -22,6 +22,8 @@ pub struct ImuStream<'a> {
     pub link_from_imu: Option<Pose>,
     /// Latency already compensated in the stamps, to be reported with the rest.
     pub removed_ramp: Option<&'a LatencyRamp>,
+    /// Rms rotation error of FK against the arm's poses that no cause explains; 0 if unknown.
+    pub fk_error_rad: f64,
 }
 
 /// Constant part of (gyro − FK rate).

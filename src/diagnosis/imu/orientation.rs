@@ -546,7 +546,9 @@ impl Model for OrientationModel<'_> {
     /// Rotations of the links between the first and the last joint, and effects.
     fn priors(&self) -> Vec<Prior> {
         let links = Self::LINKS_START..Self::LINKS_START + 3 * self.link.inner_links();
-        let variance = LINK_PRIOR_RAD.powi(2);
+        // The constant rotations absorb about half of the deviations.
+        let by_fk_error = self.link.stream.fk_error_rad.powi(2) / (0.5 * links.len() as f64);
+        let variance = LINK_PRIOR_RAD.powi(2).max(by_fk_error);
         let links = links.map(|column| Prior { column, variance, value: 0.0 });
         links.chain(self.effects.priors()).collect()
     }

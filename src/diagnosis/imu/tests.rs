@@ -72,6 +72,7 @@ fn diagnosed(
         stamp_error_s: 0.0,
         link_from_imu: Some(Pose::from_parts(Vec3::zeros().into(), logged)),
         removed_ramp: None,
+        fk_error_rad: 0.0,
     };
     diagnose_imu(&joints, &stream, 1.0)
 }
