@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use crate::stream::Times;
 use crate::time::seconds;
 
+use super::encoder_tick::tick_of_steps;
 use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::periodic::{
     MAX_EXTRAPOLATION_ERROR, MAX_UNEXPLAINED_SHARE, MIN_PUBLISHER_ROWS, SenderSplit,
@@ -240,6 +241,8 @@ fn compare_publishers(
 ) -> Option<PublisherDistance> {
     /// Minimum distance, m or rad: above rounding and encoder noise.
     const MIN_DISTANCE: f64 = 3e-4;
+    /// Two rounded values differ by up to a tick; noise adds some.
+    const MAX_ROUNDING_TICKS: f64 = 1.5;
     /// Minimum ratio to the interpolation error.
     const MIN_RATIO_TO_INTERPOLATION_ERROR: f64 = 2.0;
     /// Minimum ratio of least to largest constant offset.
@@ -271,7 +274,10 @@ fn compare_publishers(
         // Coinciding rows may be attributed wrongly.
         let uncertain = quantile(own.iter().map(of), 0.8);
         let by = if far > MIN_VARIATION_RATIO * usual { far } else { usual };
-        (by, far > MIN_DISTANCE + MIN_RATIO_TO_INTERPOLATION_ERROR * uncertain)
+        let steps = first.windows(2).map(|rows| of(&gap(rows[0], rows[1], rows[0])));
+        let tick = tick_of_steps(steps, MIN_DISTANCE).unwrap_or(0.0);
+        let least = MIN_DISTANCE.max(MAX_ROUNDING_TICKS * tick);
+        (by, far > least + MIN_RATIO_TO_INTERPOLATION_ERROR * uncertain)
     };
     let (length, angle) =
         (significant_distance(|gap| gap.length_m), significant_distance(|gap| gap.angle_rad));

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use crate::stream::{Columns, PoseColumns};
 
 use super::Run;
+use super::encoder_tick::{is_whole, tick_of_steps};
 use super::pose_distance::PoseDistance;
 use super::publishers::TwoPublishers;
 use super::role::{FrameKind, Role};
@@ -266,7 +267,10 @@ fn conflicts(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
     }
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
-        found.extend((!piece.has_two_publishers).then(|| detect_alternation(piece)).flatten());
+        let alternation = (!piece.has_two_publishers).then(|| detect_alternation(piece)).flatten();
+        found.extend(
+            alternation.filter(|(_, jump_m)| !is_resolution(pieces, *jump_m)).map(|it| it.0),
+        );
         let same = fixed.get(&(piece.parent(), piece.child())).into_iter().flatten();
         found.extend(same.filter_map(|other| conflict_with_static(other, piece)));
     }
@@ -283,8 +287,8 @@ fn conflict_with_static(fixed: &TransformPart<'_>, piece: &TransformPart<'_>) ->
     })
 }
 
-/// Detects alternating publishers: samples far from neighbours that agree.
-fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
+/// Detects alternating publishers: samples far from neighbours that agree. With the size of the jumps, m.
+fn detect_alternation(piece: &TransformPart<'_>) -> Option<(TfProblem, f64)> {
     /// Minimum jump, m on a 1 m lever.
     const MIN_JUMP_M: f64 = 1e-3;
     /// Maximum distance of the neighbours, as a share of the jump.
@@ -321,38 +325,26 @@ fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
         }
     }
     let alternates = jumps >= MIN_JUMPS && jumps as f64 > MIN_JUMP_SHARE * rows as f64;
-    (alternates && !is_resolution(piece, largest.size_m())).then(|| TfProblem {
-        kind: TfProblemKind::Conflict { edge: piece.frame_pair(), by: largest, jumps, rows },
-        topics: vec![piece.topic.to_owned()],
-    })
+    let kind = TfProblemKind::Conflict { edge: piece.frame_pair(), by: largest, jumps, rows };
+    let problem = TfProblem { kind, topics: vec![piece.topic.to_owned()] };
+    alternates.then(|| (problem, largest.size_m()))
 }
 
-/// Whether `jump_m` is a few ticks of the joint's encoder: the joint moves by more, and only by whole ticks.
-fn is_resolution(piece: &TransformPart<'_>, jump_m: f64) -> bool {
+/// Whether `jump_m` is a few ticks of an encoder: one of the joints moves by more, and only by whole ticks. Joints that
+/// hardly move may flicker.
+fn is_resolution(pieces: &[TransformPart<'_>], jump_m: f64) -> bool {
     const MIN_MOTION_JUMPS: f64 = 4.0;
     /// Noise of an encoder at rest.
     const MAX_JUMP_TICKS: f64 = 3.5;
-    /// Maximum deviation of a step from whole ticks, in ticks: rounding of the published numbers, and the
-    /// difference of chord and arc.
-    const MAX_DEVIATION_TICKS: f64 = 0.25;
-    let poses = piece.poses;
-    let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();
-    let rows = || 1..poses.times.len();
-    let motion_m = rows().map(|row| size_m(0, row)).fold(0.0, f64::max);
-    // Many ticks would show the error of the least step, not whether they are whole.
-    let few_ticks_m = MAX_ROUNDING_M..1.5 * jump_m;
-    let steps_m: Vec<f64> = rows()
-        .map(|row| size_m(row - 1, row))
-        .filter(|step_m| few_ticks_m.contains(step_m))
-        .collect();
-    let tick_m = steps_m.iter().copied().fold(f64::INFINITY, f64::min);
-    let is_whole = |step_m: f64| {
-        let ticks = step_m / tick_m;
-        (ticks - ticks.round()).abs() < MAX_DEVIATION_TICKS
-    };
-    motion_m > MIN_MOTION_JUMPS * jump_m
-        && jump_m < MAX_JUMP_TICKS * tick_m
-        && steps_m.iter().all(|step_m| is_whole(*step_m))
+    pieces.iter().filter(|piece| !piece.is_static).any(|piece| {
+        let poses = piece.poses;
+        let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();
+        let rows = || 1..poses.times.len();
+        let motion_m = rows().map(|row| size_m(0, row)).fold(0.0, f64::max);
+        motion_m > MIN_MOTION_JUMPS * jump_m
+            && tick_of_steps(rows().map(|row| size_m(row - 1, row)), MAX_ROUNDING_M)
+                .is_some_and(|tick_m| jump_m < MAX_JUMP_TICKS * tick_m && is_whole(jump_m / tick_m))
+    })
 }
 
 impl Run {
