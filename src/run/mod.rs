@@ -11,7 +11,6 @@ mod catalogue_selection;
 mod clock;
 mod columns;
 mod declaration;
-mod encoder_tick;
 mod error;
 mod excerpts;
 mod frozen;

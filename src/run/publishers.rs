@@ -7,10 +7,9 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
-use crate::stream::Times;
+use crate::stream::{Times, tick_of_steps};
 use crate::time::seconds;
 
-use super::encoder_tick::tick_of_steps;
 use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::periodic::{
     MAX_EXTRAPOLATION_ERROR, MAX_UNEXPLAINED_SHARE, MIN_PUBLISHER_ROWS, SenderSplit,

@@ -2,10 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-use crate::stream::{Columns, PoseColumns};
+use crate::stream::{Columns, PoseColumns, is_whole, tick_of_steps};
 
 use super::Run;
-use super::encoder_tick::{is_whole, tick_of_steps};
 use super::pose_distance::PoseDistance;
 use super::publishers::TwoPublishers;
 use super::role::{FrameKind, Role};

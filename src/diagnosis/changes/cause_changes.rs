@@ -22,7 +22,7 @@ use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
-use ground::stream::PoseTrack;
+use ground::stream::{JointTrack, PoseTrack, tick_of_steps};
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
 use std::ops::Range;
@@ -460,6 +460,8 @@ impl Equations {
 struct RecordedJumps {
     of_joints: Vec<Jump>,
     of_streams: Vec<Vec<Jump>>,
+    /// Tick of each joint's encoder; 0 if it is too small to show.
+    ticks: Vec<f64>,
 }
 
 impl RecordedJumps {
@@ -468,7 +470,13 @@ impl RecordedJumps {
         Self {
             of_joints: jumps_in_joints(run.joints),
             of_streams: run.streams.iter().map(of_stream).collect(),
+            ticks: (0..run.joints.dof).map(|column| encoder_tick(run.joints, column)).collect(),
         }
+    }
+
+    /// Whether a change is rounding: positions at rest keep their error, which differs by up to a tick.
+    fn is_rounding(&self, change: &Change) -> bool {
+        matches!(change.subject, Subject::Zero { column } if 2.0 * change.half[0].abs() < self.ticks[column])
     }
 
     /// Dates a step by the jump in its interval. If it is dated late, a few samples keep its whole error. Whether there is a jump.
@@ -484,6 +492,14 @@ impl RecordedJumps {
         }
         strongest.is_some()
     }
+}
+
+fn encoder_tick(joints: &JointTrack, column: usize) -> f64 {
+    /// Of numbers with seven digits.
+    const ROUNDING_RAD: f64 = 1e-6;
+    let q = |row: usize| joints.q[row * joints.dof + column];
+    let steps = (1..joints.len()).map(|row| (q(row) - q(row - 1)).abs());
+    tick_of_steps(steps, ROUNDING_RAD).unwrap_or(0.0)
 }
 
 /// Several changes with their amounts.
@@ -843,6 +859,7 @@ pub(crate) fn diagnose_with_cause_changes(
     let jumps = RecordedJumps::new(run);
     let mut found = Vec::new();
     ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
+    found.retain(|it| !it.candidate.changes.iter().any(|change| jumps.is_rounding(change)));
     // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
     // white residual.
     let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;

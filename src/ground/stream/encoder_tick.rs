@@ -6,7 +6,7 @@ const MAX_DEVIATION_TICKS: f64 = 0.25;
 
 /// Tick of values that move only by whole ticks. Steps up to `rounding` do not count. `None` if they move otherwise, or
 /// if every value differs from the last: motion at constant speed has equal steps, too.
-pub(super) fn tick_of_steps(steps: impl Iterator<Item = f64>, rounding: f64) -> Option<f64> {
+pub fn tick_of_steps(steps: impl Iterator<Item = f64>, rounding: f64) -> Option<f64> {
     /// Larger steps would show the error of the least, not whether they are whole.
     const MAX_TICKS: f64 = 4.25;
     let all: Vec<f64> = steps.collect();
@@ -17,6 +17,7 @@ pub(super) fn tick_of_steps(steps: impl Iterator<Item = f64>, rounding: f64) -> 
     (rests && few.all(|step| is_whole(step / tick))).then_some(tick)
 }
 
-pub(super) fn is_whole(ticks: f64) -> bool {
+/// Whether it is an integer, within the error of steps.
+pub fn is_whole(ticks: f64) -> bool {
     (ticks - ticks.round()).abs() < MAX_DEVIATION_TICKS
 }
