@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
-use crate::diagnosis::{PoseStream, diagnose_arm};
+use crate::diagnosis::{LastTurn, PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{CalibrationTable, NumberTable, RotationColumns, read_calibration_table};
 use crate::report::{Trouble, TroubleKind};
@@ -58,6 +58,7 @@ impl ConfigurationTable {
             stamp_error_s: 0.0,
             stamps_copied: true,
             removed_ramp: None,
+            last_turn: LastTurn::Unknown,
         };
         let streams: Vec<PoseStream> = poses.iter().map(stream).collect();
         let found = diagnose_arm(&track, &streams, ROW_INTERVAL_S);

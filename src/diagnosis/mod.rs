@@ -250,6 +250,20 @@ pub struct PoseStream<'a> {
     pub stamps_copied: bool,
     /// Latency ramp already subtracted from the stamps, to be reported with the remaining profile.
     pub removed_ramp: Option<&'a LatencyRamp>,
+    /// What a turn about the last joint's axis belongs to.
+    pub last_turn: LastTurn,
+}
+
+/// What a turn about the axis of a chain's last joint belongs to. Poses do not show it; an IMU beyond the joint may.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LastTurn {
+    /// Either.
+    #[default]
+    Unknown,
+    /// The joint's zero.
+    OfJoint,
+    /// The tool frame.
+    OfTool,
 }
 
 /// Encoding under which a stream follows the arm.

@@ -4,8 +4,8 @@ use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
 use super::joint_topics::{JointTopicLatency, with_corrected_topic};
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
-    ImuStream, LatencyProfile, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream,
-    StreamResidual, best_lag_peak, compensate_latency, diagnose_derived,
+    ImuStream, LastTurn, LatencyProfile, MeasuredLength, NotObservable, PoseDiagnosis,
+    PoseEncoding, PoseStream, StreamResidual, best_lag_peak, compensate_latency, diagnose_derived,
     diagnose_imu_with_latency_compensation, diagnose_run, fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
@@ -52,6 +52,13 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
             Some((arm, documented)) => {
                 run.replace_arm(index, arm);
                 documented
+            }
+            None => found,
+        };
+        let found = match with_turn_by_imu(run, &run.arms[index], &found, max_lag_s) {
+            Some((arm, other)) => {
+                run.replace_arm(index, arm);
+                other
             }
             None => found,
         };
@@ -146,6 +153,44 @@ fn with_documented_conventions(
     let is_better = documented.arm.is_far_better_than(&found.arm)
         || (undetermined.contains(&true) && documented.arm.is_as_good_as(&found.arm));
     is_better.then_some((arm, documented))
+}
+
+/// Diagnosis with a turn of the last joint instead of the tool, or of the tool instead of the joint, if an IMU beyond them
+/// then has the mount in the log. Poses fit either.
+fn with_turn_by_imu(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmStreamsDiagnosis,
+    max_lag_s: f64,
+) -> Option<(Arm, ArmStreamsDiagnosis)> {
+    const MIN_SIGNIFICANCE: f64 = 1e-4;
+    /// Of the mount's error.
+    const MAX_REMAINING_SHARE: f64 = 0.2;
+    let last = arm.columns.last();
+    let imus: Vec<(usize, MeasuredLength)> = (0..arm.imus.len())
+        .filter(|&imu| arm.imus[imu].columns.last() == last)
+        .filter_map(|imu| Some((imu, *found.imus[imu].mount_rad.as_ref().ok()?)))
+        .filter(|(_, error)| error.p_value < MIN_SIGNIFICANCE)
+        .collect();
+    let is_tool = |stream: &PoseDiagnosis| stream.tool.as_ref().is_ok_and(|tool| tool.is_chosen);
+    let zero = found.arm.joints.offsets.get(*last?);
+    let last_turn = match zero.is_some_and(|offset| offset.is_chosen) {
+        _ if imus.is_empty() => return None,
+        true => LastTurn::OfTool,
+        false if found.arm.streams.iter().any(is_tool) => LastTurn::OfJoint,
+        false => return None,
+    };
+    let mut arm = arm.clone();
+    for source in arm.poses.iter_mut().filter(|source| source.columns.last() == last) {
+        source.last_turn = last_turn;
+    }
+    let other = diagnose_one(run, &arm, max_lag_s);
+    let is_mounted_as_logged = |(imu, before): &(usize, MeasuredLength)| {
+        let error = other.imus[*imu].mount_rad.as_ref();
+        error.is_ok_and(|error| error.norm.value < MAX_REMAINING_SHARE * before.norm.value)
+    };
+    (imus.iter().all(is_mounted_as_logged) && other.arm.is_as_good_as(&found.arm))
+        .then_some((arm, other))
 }
 
 /// Diagnosis with corrected stamps of one topic of joint states, if it then fits as well.

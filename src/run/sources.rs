@@ -2,7 +2,7 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use crate::diagnosis::{ImuStream, PoseStream};
+use crate::diagnosis::{ImuStream, LastTurn, PoseStream};
 use crate::geometry::Pose;
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
@@ -28,6 +28,8 @@ pub struct PoseSource {
     pub tip_named: bool,
     /// Frame of the logged poses, if it moves in the chain's base.
     pub moving_base: Option<MovingBase>,
+    /// What a turn about the last joint's axis belongs to.
+    pub last_turn: LastTurn,
 }
 
 impl PoseSource {
@@ -41,6 +43,7 @@ impl PoseSource {
             stamp_error_s: self.stamp_error_s,
             stamps_copied: self.stamps_copied,
             removed_ramp: None,
+            last_turn: self.last_turn,
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! The speeds of joints and tool agree best at the offset of their clocks. Delays between such tables remain unknown.
 
-use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
+use crate::diagnosis::{LagPeak, LastTurn, PoseStream, candidate_lags};
 use crate::geometry::Vec3;
 use crate::log::{Log, Note, Topic};
 use crate::robot::{Chain, Robot, catalogue};
@@ -162,6 +162,7 @@ fn group_offset(
             stamp_error_s: 0.0,
             stamps_copied: false,
             removed_ramp: None,
+            last_turn: LastTurn::Unknown,
         };
         let peaks = candidate_lags(&joint_track, &stream, max_lag_s);
         let height = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);

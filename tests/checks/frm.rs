@@ -1,6 +1,6 @@
 //! FRM: wrong frames.
 
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use poseaudit::finding::{Estimate, Severity};
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
@@ -94,6 +94,10 @@ cases! {
         log.options.run.tip = Some("tool0".to_owned());
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(5, 0.6);
     } => OnlyOtherFinding("ZER001");
+    FRM003 a_tool_turned_about_the_last_axis_beside_an_imu: |log| {
+        log.options.run.tip = Some("tool0".to_owned());
+        log.run.pose.tip_from_stream.rotation = rotation_from_rotvec(Vec3::z() * FRAC_PI_4);
+    } => error(TIP, Frame([0.0, 0.1e-3], [45.0, 0.02]));
     FRM003 a_rotated_base_is_not_reported_as_tool_offset: |log| {
         log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.reference_from_stream = base_rotated_by_180_degrees();

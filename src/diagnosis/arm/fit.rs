@@ -1,5 +1,6 @@
 //! Fits all streams of an arm together, from the best starting state of each.
 
+use crate::LastTurn;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::frames::constant_frames::{constant_frame_residual, starting_states};
 use crate::joints::{CorrectedJoints, is_quarter_turn, single_zeros};
@@ -335,6 +336,9 @@ fn candidate_causes(
         let is_in_a_stream = |joint: &usize| {
             decoded.iter().map(|decoded| &decoded.observations).any(|observations| {
                 !observations.chain.is_floating() && observations.columns.contains(joint)
+            }) && !decoded.iter().any(|decoded| {
+                decoded.last_turn == LastTurn::OfTool
+                    && decoded.observations.columns.last() == Some(joint)
             })
         };
         let (encoded, others): (Vec<usize>, Vec<usize>) =
@@ -355,7 +359,8 @@ fn candidate_causes(
         }
         // A stream derived from the joint states must agree with them: no frame or scale causes.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::RadialScale(s)]);
+            optional.extend((decoded.last_turn != LastTurn::OfJoint).then_some(Cause::Tool(s)));
+            optional.push(Cause::RadialScale(s));
         }
     }
     CandidateCauses { always, optional, may_confound_frames: false }

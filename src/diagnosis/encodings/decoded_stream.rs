@@ -18,7 +18,7 @@ use crate::model::measurement::{
 };
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, slow_samples};
 use crate::{
-    AxesError, EncodingEstimate, EstimateResult, NotObservable, PoseStream, UnitResiduals,
+    AxesError, EncodingEstimate, EstimateResult, LastTurn, NotObservable, PoseStream, UnitResiduals,
 };
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
@@ -43,6 +43,7 @@ pub(crate) struct DecodedStream<'a> {
     rotated_frames: u8,
     pub peaks: Vec<LagPeak>,
     pub moves: bool,
+    pub last_turn: LastTurn,
 }
 
 impl DecodedStream<'_> {
@@ -174,6 +175,7 @@ pub(crate) fn decode_stream<'a>(
     let constant = placement.constant;
     let frames = fit.map_or(0, |fit| fit.frames.frame_count());
     Ok(DecodedStream {
+        last_turn: stream.last_turn,
         observations,
         encoding,
         degrees,

@@ -1,6 +1,6 @@
 //! Assigns pose and IMU streams to arms and determines their links.
 
-use crate::diagnosis::{FitHypotheses, fit_model, follows_as_logged};
+use crate::diagnosis::{FitHypotheses, LastTurn, fit_model, follows_as_logged};
 use crate::geometry::Pose;
 use crate::robot::LinkId;
 use crate::stream::Columns;
@@ -490,6 +490,7 @@ impl Assembly<'_> {
             stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
             tip_named: stream_frames.tip_named,
+            last_turn: LastTurn::Unknown,
         })
     }
 

@@ -1,5 +1,6 @@
 //! TF tree of a log, the arm's transforms, and transforms that are measured poses.
 
+use crate::diagnosis::LastTurn;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
 use crate::robot::{JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
@@ -162,6 +163,7 @@ impl Assembly<'_> {
             stamp_error_s: self.stamp_error_s(arm, stream, piece),
             tip_named: arm.tip_named,
             moving_base: None,
+            last_turn: LastTurn::Unknown,
         };
         Ok((source, from_model.collect()))
     }
