@@ -8,7 +8,7 @@ use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, add_block,
-    mount_of, rotated_noise,
+    mount_of, rms, rotated_noise,
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
@@ -16,7 +16,7 @@ use crate::encodings::rotation::{
 };
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::{LatencySample, fit_profile};
-use crate::model::measurement::FLOOR_RAD;
+use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
 use crate::solver::linear::Linear;
 use crate::{
@@ -258,10 +258,25 @@ impl OrientationModel<'_> {
         solved
     }
 
+    /// A wrong mount must turn the orientations by more than usual errors of filters and arms.
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
-        solved.mount_error(&Self::MOUNT.collect::<Vec<usize>>(), error.as_slice())
+        let error_in_link = known * error;
+        let length = solved.mount_error(&Self::MOUNT.collect::<Vec<usize>>(), error.as_slice())?;
+        let mut buffers = self.link.buffers();
+        let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
+        let turned = t_s.filter_map(|t_s| {
+            let link_state = self.link.at(self.delay.truth_s(t_s), &mut buffers)?;
+            Some(link_state.rotation * error_in_link)
+        });
+        let turned: Vec<Vec3> = turned.collect();
+        let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
+        let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
+        match length.p_value < MOUNT_SIGNIFICANCE && effect_rad < MAX_EXPLAINED_RAD {
+            true => Err(NotObservable::NotExcited),
+            false => Ok(length),
+        }
     }
 
     /// Side of a slip with more samples.
