@@ -719,7 +719,10 @@ impl Removal {
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
             let columns = CauseColumns::new(stream.found, stream.columns.chain);
-            !seen || !has_slow_residual(stream.found) || !columns.has_unexplained_residual()
+            !seen
+                || !has_slow_residual(stream.found)
+                || !columns.has_unexplained_residual()
+                || !depends_on_configuration(stream.found)
         };
         if !are_floating(run.streams) && !streams.iter().all(is_explained) {
             return None;
@@ -796,6 +799,13 @@ impl Removal {
         report_confounders(run.streams, &mut after);
         is_reported.then_some(after)
     }
+}
+
+/// Whether the residual repeats with the configuration, unlike noise that is correlated in time.
+fn depends_on_configuration(found: &PoseDiagnosis) -> bool {
+    const CONFIDENCE: f64 = 0.999;
+    let exceeds = |excess: &Measured| excess.value > excess.half_width(CONFIDENCE);
+    found.residual.as_ref().is_ok_and(|it| exceeds(&it.excess_m) || exceeds(&it.excess_rad))
 }
 
 fn report_zero(
