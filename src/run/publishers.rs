@@ -7,7 +7,7 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
-use crate::stream::{Times, tick_of_steps};
+use crate::stream::{Times, encoder_tick};
 use crate::time::seconds;
 
 use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
@@ -273,8 +273,8 @@ fn compare_publishers(
         // Coinciding rows may be attributed wrongly.
         let uncertain = quantile(own.iter().map(of), 0.8);
         let by = if far > MIN_VARIATION_RATIO * usual { far } else { usual };
-        let steps = first.windows(2).map(|rows| of(&gap(rows[0], rows[1], rows[0])));
-        let tick = tick_of_steps(steps, MIN_DISTANCE).unwrap_or(0.0);
+        let distance = |a: usize, b: usize| of(&gap(first[a], first[b], first[a]));
+        let tick = encoder_tick(first.len(), distance, MIN_DISTANCE).unwrap_or(0.0);
         let least = MIN_DISTANCE.max(MAX_ROUNDING_TICKS * tick);
         (by, far > least + MIN_RATIO_TO_INTERPOLATION_ERROR * uncertain)
     };

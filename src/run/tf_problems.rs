@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-use crate::stream::{Columns, PoseColumns, is_whole, tick_of_steps};
+use crate::stream::{Columns, PoseColumns, encoder_tick, is_whole};
 
 use super::Run;
 use super::pose_distance::PoseDistance;
@@ -332,17 +332,13 @@ fn detect_alternation(piece: &TransformPart<'_>) -> Option<(TfProblem, f64)> {
 /// Whether `jump_m` is a few ticks of an encoder: one of the joints moves by more, and only by whole ticks. Joints that
 /// hardly move may flicker.
 fn is_resolution(pieces: &[TransformPart<'_>], jump_m: f64) -> bool {
-    const MIN_MOTION_JUMPS: f64 = 4.0;
     /// Noise of an encoder at rest.
     const MAX_JUMP_TICKS: f64 = 3.5;
     pieces.iter().filter(|piece| !piece.is_static).any(|piece| {
         let poses = piece.poses;
         let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();
-        let rows = || 1..poses.times.len();
-        let motion_m = rows().map(|row| size_m(0, row)).fold(0.0, f64::max);
-        motion_m > MIN_MOTION_JUMPS * jump_m
-            && tick_of_steps(rows().map(|row| size_m(row - 1, row)), MAX_ROUNDING_M)
-                .is_some_and(|tick_m| jump_m < MAX_JUMP_TICKS * tick_m && is_whole(jump_m / tick_m))
+        let tick_m = encoder_tick(poses.times.len(), size_m, MAX_ROUNDING_M);
+        tick_m.is_some_and(|tick_m| jump_m < MAX_JUMP_TICKS * tick_m && is_whole(jump_m / tick_m))
     })
 }
 

@@ -22,7 +22,7 @@ use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
-use ground::stream::{JointTrack, PoseTrack, tick_of_steps};
+use ground::stream::{PoseTrack, encoder_tick};
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
 use std::ops::Range;
@@ -466,11 +466,19 @@ struct RecordedJumps {
 
 impl RecordedJumps {
     fn new(run: &ArmRun) -> Self {
+        /// Of numbers with seven digits.
+        const ROUNDING_RAD: f64 = 1e-6;
+        let joints = run.joints;
+        let tick = |column: usize| {
+            let q = |row: usize| joints.q[row * joints.dof + column];
+            let distance = |a: usize, b: usize| (q(a) - q(b)).abs();
+            encoder_tick(joints.len(), distance, ROUNDING_RAD).unwrap_or(0.0)
+        };
         let of_stream = |stream| jumps_in_logged_path(run.joints, stream);
         Self {
             of_joints: jumps_in_joints(run.joints),
             of_streams: run.streams.iter().map(of_stream).collect(),
-            ticks: (0..run.joints.dof).map(|column| encoder_tick(run.joints, column)).collect(),
+            ticks: (0..run.joints.dof).map(tick).collect(),
         }
     }
 
@@ -492,14 +500,6 @@ impl RecordedJumps {
         }
         strongest.is_some()
     }
-}
-
-fn encoder_tick(joints: &JointTrack, column: usize) -> f64 {
-    /// Of numbers with seven digits.
-    const ROUNDING_RAD: f64 = 1e-6;
-    let q = |row: usize| joints.q[row * joints.dof + column];
-    let steps = (1..joints.len()).map(|row| (q(row) - q(row - 1)).abs());
-    tick_of_steps(steps, ROUNDING_RAD).unwrap_or(0.0)
 }
 
 /// Several changes with their amounts.

@@ -14,6 +14,6 @@ pub use columns::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns,
     is_usable,
 };
-pub use encoder_tick::{is_whole, tick_of_steps};
+pub use encoder_tick::{encoder_tick, is_whole};
 pub use times::{SharedTimes, Times};
 pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack, sample_noise};
