@@ -77,7 +77,7 @@ fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmF
         .into_iter()
         .partition(|cause| is_hidden(cause) && !fitted.model.causes.contains(cause));
     candidates.optional = optional;
-    let model = match hidden.is_empty() {
+    let mut model = match hidden.is_empty() {
         true => fitted.model,
         false => {
             candidates.always.extend(&hidden);
@@ -89,7 +89,13 @@ fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmF
             model
         }
     };
-    let skews = skews.into_iter().map(|skew| skew.map(|skew| skew.0)).collect();
+    let skews: Vec<Option<Measured>> =
+        skews.into_iter().map(|skew| skew.map(|skew| skew.0)).collect();
+    for (s, stream) in model.state.streams.iter_mut().enumerate() {
+        if let Some(skew) = skews[s].filter(|_| model.causes.contains(&Cause::Skew(s))) {
+            stream.skew = skew.value;
+        }
+    }
     ArmFit { model, candidates, skews, ..fitted }
 }
 

@@ -12,6 +12,8 @@ use ground::robot::Chain;
 /// Profile of a latency with steps, if they are likelier than other changes of causes. `found` has a constant latency.
 pub(crate) fn latency_steps(found: &PoseDiagnosis, chain: &Chain) -> Option<LatencyProfile> {
     const MAX_STEPS: usize = 4;
+    /// Half of what LAT003 reports. Smaller ones are also errors of the model.
+    const MIN_SWING_S: f64 = 2.5e-3;
     if found.residual.is_err() || found.is_far_from_fk() || !has_slow_residual(found) {
         return None;
     }
@@ -41,7 +43,7 @@ pub(crate) fn latency_steps(found: &PoseDiagnosis, chain: &Chain) -> Option<Late
         },
     };
     let steps: Vec<LatencyStep> = steps.iter().zip(columns.constant()..).map(measured).collect();
-    let swing_s = largest(&steps)?;
+    let swing_s = largest(&steps).filter(|swing| swing.value.abs() > MIN_SWING_S)?;
     let mut level_s = 0.0;
     let later = steps.iter().map(|step| {
         level_s += step.size_s.value;

@@ -4,6 +4,7 @@ use crate::arm::diagnose_arm;
 use crate::arm_run::ArmRun;
 use crate::changes::latency_steps;
 use crate::imu::diagnose_converted_imu;
+use crate::priors::price_of_cause;
 use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::residual_m;
 use crate::{
@@ -150,8 +151,8 @@ impl CompensatedRun {
     }
 }
 
-/// Profiles of streams whose latency steps, if no other profile is unsteady. All streams must still follow FK, and the
-/// residual beyond link deviations must fall.
+/// Profiles of streams whose latency steps, if no other profile is unsteady. All streams must still follow FK, and steps
+/// beside link deviations must be likelier than none.
 fn steps_beside_links(
     run: &ArmRun,
     constant: &ArmDiagnosis,
@@ -181,11 +182,21 @@ fn steps_beside_links(
     if both.any(|(before, after)| follows(before) && !follows(after)) {
         return None;
     }
-    let unexplained_m = |diagnosis: &ArmDiagnosis| -> f64 {
-        let streams = diagnosis.streams.iter().zip(run.streams);
-        streams.map(|(found, stream)| CauseColumns::new(found, stream.chain).unexplained_m()).sum()
+    let worth = |s: usize| -> f64 {
+        let [before, after] = [constant, &stepped].map(|diagnosis| {
+            CauseColumns::new(&diagnosis.streams[s], run.streams[s].chain).unexplained_noise()
+        });
+        let gains = before.iter().zip(&after).map(|((before, _), (after, independent))| {
+            2.0 * independent * (before.sigma / after.sigma).ln()
+        });
+        let steps = profiles[s].as_ref().map_or(0, |profile| profile.steps.len());
+        let independent = after.iter().map(|(_, independent)| independent).sum();
+        match steps {
+            0 => gains.sum::<f64>(),
+            steps => gains.sum::<f64>() - price_of_cause(2 * steps, independent),
+        }
     };
-    (unexplained_m(&stepped) < unexplained_m(constant)).then_some(profiles)
+    ((0..run.streams.len()).map(worth).sum::<f64>() > 0.0).then_some(profiles)
 }
 
 /// Refines a ramp with the profile of the compensated stream. If that is constant, the speeds differ for
