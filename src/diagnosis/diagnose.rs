@@ -16,7 +16,7 @@ use crate::compliance::{
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_slow_residual, residual_m};
-use crate::selection::evidence::{fits_as_well, likeliest, log_bayes_factor};
+use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
@@ -125,8 +125,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     if by_gain.as_ref().is_some_and(is_explained) {
         return gain_as_compliance.or(by_gain);
     }
-    let is_likelier = |it: &ArmDiagnosis| log_bayes_factor(it, constant) > 0.0;
-    let by_steps = diagnose_with_cause_changes(run, constant).filter(is_likelier);
+    let by_steps = diagnose_with_cause_changes(run, constant);
     let by_compliance =
         gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
