@@ -865,6 +865,9 @@ pub(crate) fn diagnose_with_cause_changes(
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
     let streams = Stream::all(run, diagnosis);
+    if !streams.iter().any(|stream| has_slow_residual(stream.found)) {
+        return None;
+    }
     // One at a time, steps of several joints look like a frame, and a frame that returns looks like a joint.
     let jumps = RecordedJumps::new(run);
     let mut found = Vec::new();
