@@ -63,18 +63,30 @@ pub(crate) fn fit_one_frame(
     let anchors = (0..fk.len())
         .step_by(step)
         .flat_map(|sample| candidates.of_sample(sample).iter().map(move |truth| (sample, truth)));
-    let closeness = |frame: &Rotation| -> f64 {
-        let cosine = |(sample, fk): (usize, &Rotation)| {
-            nearest(candidates.of_sample(sample), &apply(frame, fk))
-                .map_or(0.0, |(_, cosine)| cosine)
-        };
-        fk.iter().enumerate().map(cosine).sum()
+    // Sum of cosines. `None` if it cannot reach `least`, because a sample adds at most 1.
+    let closeness = |frame: &Rotation, least: f64| -> Option<f64> {
+        const TOLERANCE: f64 = 1e-9;
+        let mut most = fk.len() as f64 + TOLERANCE;
+        let mut sum = 0.0;
+        for (sample, fk) in fk.iter().enumerate() {
+            let cosine = nearest(candidates.of_sample(sample), &apply(frame, fk))
+                .map_or(0.0, |(_, cosine)| cosine);
+            (sum, most) = (sum + cosine, most + cosine - 1.0);
+            if most < least {
+                return None;
+            }
+        }
+        Some(sum)
     };
-    let anchored = anchors
-        .map(|(sample, truth)| frame_at(truth, &fk[sample]))
-        .map(|frame| (closeness(&frame), frame))
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((_, mut frame)) = anchored else {
+    let mut best: Option<(f64, Rotation)> = None;
+    for (sample, truth) in anchors {
+        let frame = frame_at(truth, &fk[sample]);
+        let least = best.map_or(f64::NEG_INFINITY, |best| best.0);
+        if let Some(sum) = closeness(&frame, least).filter(|sum| sum.total_cmp(&least).is_ge()) {
+            best = Some((sum, frame));
+        }
+    }
+    let Some((_, mut frame)) = best else {
         return Rotation::identity();
     };
     for _ in 0..2 {
