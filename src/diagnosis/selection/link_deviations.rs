@@ -28,7 +28,7 @@ use crate::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use ground::stats::MeasuredLength;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Minimum, maximum, ratio.
 pub(crate) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
@@ -256,10 +256,37 @@ struct DeviationFit {
     /// Twice the log-likelihood, up to a common constant.
     evidence: f64,
     mean: DVector<f64>,
-    covariance: DMatrix<f64>,
+    /// Inverse of the covariance.
+    precision: Cholesky<f64, Dyn>,
 }
 
 impl DeviationFit {
+    /// Columns `at` of the covariance.
+    fn covariance_columns(&self, at: &[usize]) -> DMatrix<f64> {
+        let mut columns = DMatrix::zeros(self.mean.len(), at.len());
+        at.iter().enumerate().for_each(|(column, &row)| columns[(row, column)] = 1.0);
+        self.precision.solve_mut(&mut columns);
+        columns
+    }
+
+    /// Diagonal of the covariance, from the inverse of the Cholesky factor.
+    fn variances(&self) -> Vec<f64> {
+        let factor = self.precision.l_dirty();
+        let variance = |at: usize| {
+            let mut column = DVector::zeros(self.mean.len() - at);
+            column[0] = 1.0;
+            let (mut sum, len) = (0.0, column.len());
+            for row in 0..len {
+                let value = column[row] / factor[(at + row, at + row)];
+                sum += value * value;
+                let below = factor.view((at + row + 1, at + row), (len - row - 1, 1));
+                column.rows_mut(row + 1, len - row - 1).axpy(-value, &below.column(0), 1.0);
+            }
+            sum
+        };
+        (0..self.mean.len()).map(variance).collect()
+    }
+
     fn zeros_except(&self, joint: usize) -> Vec<usize> {
         self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
@@ -371,7 +398,7 @@ impl DeviationModel {
                 - log_prior
                 - 2.0 * SIZE_PRIOR_DOF * unlike,
             mean,
-            covariance: cholesky.inverse(),
+            precision: cholesky,
         })
     }
 
@@ -381,7 +408,7 @@ impl DeviationModel {
         let DeviationParameter::Deviation { group, unit } = self.kinds[at] else {
             return None;
         };
-        let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
+        let variance = fit.covariance_columns(&[at])[(at, 0)] + (unit * fit.sizes_m[group]).powi(2);
         let others = SIZE_PRIOR_DOF + (self.joints - fit.zeros.len()) as f64;
         (variance > 0.0).then(|| Measured {
             value: fit.mean[at],
@@ -426,10 +453,11 @@ impl DeviationModel {
     fn updated_sizes(&self, fit: &DeviationFit) -> Vec<f64> {
         let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
         let usual_m = self.typical_size_m(&fit.sizes_m);
+        let variances = fit.variances();
         let mut sums = vec![(SIZE_PRIOR_DOF * usual_m.powi(2), SIZE_PRIOR_DOF); fit.sizes_m.len()];
         for (i, of) in self.kinds.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
             if let DeviationParameter::Deviation { group, unit } = of {
-                let square = fit.mean[i].powi(2) + fit.covariance[(i, i)];
+                let square = fit.mean[i].powi(2) + variances[i];
                 sums[*group].0 += square / unit.powi(2);
                 sums[*group].1 += 1.0;
             }
@@ -539,7 +567,7 @@ impl DeviationModel {
             let own = DeviationParameter::Deviation { group: link, unit: 1.0 };
             let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
             let mean: Vec<f64> = own.iter().map(|&i| fit.mean[i]).collect();
-            let covariance = fit.covariance.select_columns(&own).select_rows(&own);
+            let covariance = fit.covariance_columns(&own).select_rows(&own);
             let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
             LinkDisplacement { joints: [columns[link - 1], columns[link]], length_m }
         };
