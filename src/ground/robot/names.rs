@@ -33,37 +33,12 @@ impl NameMatch {
 }
 
 impl Robot {
-    /// Finds prefixes that map this robot's joints to `logged` names: most joints first, then fewest
-    /// unknown characters. Two identical arms yield two matches.
-    ///
-    /// A log may add a namespace or `tf_prefix`, or use one of `joint_prefixes`.
+    /// [`match_joint_names`] for this robot.
     pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
-        let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
-        let own = self.distinct_joint_names();
-        let own_prefixes = self.own_prefixes(&own);
-        let mut matches = Vec::new();
-        for from in &own_prefixes {
-            let stems: Vec<&str> = own.iter().filter_map(|name| name.strip_prefix(from)).collect();
-            for to in logged_prefixes(&stems, &logged) {
-                let present = |stem: &&&str| logged.contains(format!("{to}{stem}").as_str());
-                matches.push(NameMatch {
-                    matched: stems.iter().filter(present).count(),
-                    joints: own.len(),
-                    unknown_prefix_chars: unknown_prefix_chars(
-                        from,
-                        &to,
-                        &own_prefixes,
-                        &self.joint_prefixes,
-                    ),
-                    from_prefix: (*from).to_owned(),
-                    to_prefix: to,
-                });
-            }
-        }
-        matches.sort_by_key(|m| (Reverse(m.matched), m.unknown_prefix_chars));
-        let mut seen = HashSet::new();
-        matches.retain(|m| seen.insert(own.first().map(|name| m.logged_name(name))));
-        matches
+        let moving = |joint: &&super::Joint| joint.kind.has_position() && joint.mimic.is_none();
+        let own = self.joints().iter().filter(moving).map(|joint| joint.name.as_str());
+        let own: Vec<&str> = own.collect();
+        match_joint_names(&own, &self.joint_prefixes, logged)
     }
 
     /// Copy with the prefix `from` of link and joint names replaced by `to`; `None` if two names would
@@ -71,27 +46,53 @@ impl Robot {
     pub fn with_prefix_replaced(&self, from: &str, to: &str) -> Option<Robot> {
         self.renamed(|name| with_prefix_replaced(name, from, to))
     }
+}
 
-    fn distinct_joint_names(&self) -> Vec<&str> {
-        let moving = |joint: &&super::Joint| joint.kind.has_position() && joint.mimic.is_none();
-        self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
-    }
-
-    /// The empty prefix, declared and common prefixes of all joints, and that of most joints (for an arm on
-    /// a rail).
-    fn own_prefixes<'a>(&'a self, names: &[&'a str]) -> BTreeSet<&'a str> {
-        let declared = self.joint_prefixes.iter().map(String::as_str);
-        let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
-        let common = common_prefix(names).or_else(|| {
-            let most = |prefix: &Vec<&'a str>| 2 * prefix.len() > names.len();
-            let first = names.iter().filter_map(|name| name.split(is_separator).next());
-            let sharing = first.map(|word| {
-                names.iter().copied().filter(|name| name.starts_with(word)).collect::<Vec<&str>>()
+/// Finds prefixes that map independently movable joints to `logged` names: most joints first, then fewest
+/// unknown characters. Two identical arms yield two matches.
+///
+/// A log may add a namespace or `tf_prefix`, or use one of the `declared` prefixes.
+pub(super) fn match_joint_names<S: AsRef<str>>(
+    own: &[&str],
+    declared: &[String],
+    logged: &[S],
+) -> Vec<NameMatch> {
+    let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
+    let own_prefixes = own_prefixes(own, declared);
+    let mut matches = Vec::new();
+    for from in &own_prefixes {
+        let stems: Vec<&str> = own.iter().filter_map(|name| name.strip_prefix(from)).collect();
+        for to in logged_prefixes(&stems, &logged) {
+            let present = |stem: &&&str| logged.contains(format!("{to}{stem}").as_str());
+            matches.push(NameMatch {
+                matched: stems.iter().filter(present).count(),
+                joints: own.len(),
+                unknown_prefix_chars: unknown_prefix_chars(from, &to, &own_prefixes, declared),
+                from_prefix: (*from).to_owned(),
+                to_prefix: to,
             });
-            common_prefix(&sharing.into_iter().find(most)?)
-        });
-        [""].into_iter().chain(declared.filter(shared)).chain(common).collect()
+        }
     }
+    matches.sort_by_key(|m| (Reverse(m.matched), m.unknown_prefix_chars));
+    let mut seen = HashSet::new();
+    matches.retain(|m| seen.insert(own.first().map(|name| m.logged_name(name))));
+    matches
+}
+
+/// The empty prefix, declared and common prefixes of all joints, and that of most joints (for an arm on
+/// a rail).
+fn own_prefixes<'a>(names: &[&'a str], declared: &'a [String]) -> BTreeSet<&'a str> {
+    let declared = declared.iter().map(String::as_str);
+    let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
+    let common = common_prefix(names).or_else(|| {
+        let most = |prefix: &Vec<&'a str>| 2 * prefix.len() > names.len();
+        let first = names.iter().filter_map(|name| name.split(is_separator).next());
+        let sharing = first.map(|word| {
+            names.iter().copied().filter(|name| name.starts_with(word)).collect::<Vec<&str>>()
+        });
+        common_prefix(&sharing.into_iter().find(most)?)
+    });
+    [""].into_iter().chain(declared.filter(shared)).chain(common).collect()
 }
 
 fn with_prefix_replaced(name: &str, from: &str, to: &str) -> String {
@@ -132,11 +133,6 @@ fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
             name.strip_prefix(prefix).is_some_and(|stem| stem.starts_with(char::is_alphabetic))
         })
     })
-}
-
-/// After the last separator.
-pub(super) fn last_word(name: &str) -> &str {
-    name.rsplit(is_separator).next().unwrap_or(name)
 }
 
 fn is_separator(c: char) -> bool {

@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::Robot;
 use super::error::RobotError;
-use super::names::{NameMatch, last_word};
+use super::names::{NameMatch, match_joint_names};
 use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
@@ -55,20 +55,31 @@ impl Candidate {
 /// Text of one arm, and the arm once it is parsed.
 struct Entry {
     text: &'static str,
-    /// Fixed joints, too.
+    /// Independently movable joints.
     joint_names: Vec<&'static str>,
+    joint_prefixes: Vec<String>,
     robot: OnceLock<Robot>,
 }
 
 static ENTRIES: LazyLock<Vec<Entry>> = LazyLock::new(|| {
-    let texts = VENDORS.iter().flat_map(|(_, text)| arm_texts(text));
+    let texts = VENDORS.iter().flat_map(|(_, text)| tables(text, "\n[[robot]]"));
     texts.map(Entry::new).collect()
 });
 
 impl Entry {
     fn new(text: &'static str) -> Self {
-        let name = |line: &'static str| line.strip_prefix("name = \"")?.strip_suffix('"');
-        Self { text, joint_names: text.lines().filter_map(name).collect(), robot: OnceLock::new() }
+        let joint_name = |table: &'static str| {
+            let name = table.lines().find_map(|line| quoted(line.strip_prefix("name = ")?))?;
+            (!table.contains("\ntype = \"fixed\"")).then_some(name)
+        };
+        let prefixes = text.lines().find_map(|line| line.strip_prefix("joint_prefixes = ["));
+        let prefixes = prefixes.unwrap_or_default().trim_end_matches(']').split(", ");
+        Self {
+            text,
+            joint_names: tables(text, "\n[[robot.joint]]").filter_map(joint_name).collect(),
+            joint_prefixes: prefixes.filter_map(quoted).map(str::to_owned).collect(),
+            robot: OnceLock::new(),
+        }
     }
 
     fn robot(&self) -> &Robot {
@@ -79,22 +90,17 @@ impl Entry {
     fn contains_word(&self, word: &str) -> bool {
         self.text.contains(&format!("\"{word}\""))
     }
-
-    /// Whether at least two joints may have a logged name: one ends with the last word of the other, whatever the
-    /// prefixes.
-    fn may_have_joints<S: AsRef<str>>(&self, logged: &[S]) -> bool {
-        let may_be =
-            |joint: &&&str| logged.iter().any(|name| joint.ends_with(last_word(name.as_ref())));
-        self.joint_names.iter().filter(may_be).nth(1).is_some()
-    }
 }
 
-/// Text of each `[[robot]]` table.
-fn arm_texts(vendor: &str) -> impl Iterator<Item = &str> {
-    const HEADER: &str = "\n[[robot]]";
-    let starts: Vec<usize> = vendor.match_indices(HEADER).map(|(start, _)| start).collect();
-    let ends: Vec<usize> = starts.iter().skip(1).copied().chain([vendor.len()]).collect();
-    starts.into_iter().zip(ends).map(|(start, end)| &vendor[start..end])
+fn quoted(text: &str) -> Option<&str> {
+    text.strip_prefix('"')?.strip_suffix('"')
+}
+
+/// Text of each table with this header.
+fn tables<'a>(text: &'a str, header: &str) -> impl Iterator<Item = &'a str> + use<'a> {
+    let starts: Vec<usize> = text.match_indices(header).map(|(start, _)| start).collect();
+    let ends: Vec<usize> = starts.iter().skip(1).copied().chain([text.len()]).collect();
+    starts.into_iter().zip(ends).map(|(start, end)| &text[start..end])
 }
 
 /// All arms, by vendor.
@@ -163,13 +169,12 @@ pub fn nearest_names(name: &str) -> Vec<&'static str> {
 pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
     let mut candidates: Vec<Candidate> = ENTRIES
         .iter()
-        .filter(|entry| entry.may_have_joints(logged))
-        .map(Entry::robot)
-        .flat_map(|robot| {
-            let matches = robot.match_joint_names(logged);
-            matches.into_iter().map(move |names| Candidate { robot, names })
+        .flat_map(|entry| {
+            let matches = match_joint_names(&entry.joint_names, &entry.joint_prefixes, logged);
+            let is_match = |names: &NameMatch| 2 * names.matched >= names.joints;
+            let matches = matches.into_iter().filter(is_match);
+            matches.map(move |names| Candidate { robot: entry.robot(), names })
         })
-        .filter(|candidate| 2 * candidate.names.matched >= candidate.names.joints)
         .collect();
     candidates.sort_by(|a, b| {
         let (a, b) = (&a.names, &b.names);
@@ -193,6 +198,7 @@ fn parse_arm(text: &str) -> Result<Robot, RobotError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Joint;
 
     #[test]
     fn each_arm_is_parsed_alone() {
@@ -204,22 +210,13 @@ mod tests {
     }
 
     #[test]
-    fn the_arms_that_are_not_parsed_do_not_match() {
-        let prefixes = ["", "left_", "left/", "robot1_left_"];
-        for arm in entries() {
-            let joints = || arm.joints().iter().map(|joint| &joint.name);
-            for prefix in prefixes {
-                let logged: Vec<String> = joints().map(|name| format!("{prefix}{name}")).collect();
-                let stems: Vec<String> = joints()
-                    .map(|name| format!("{prefix}{}", name.rsplit('_').next().unwrap()))
-                    .collect();
-                for logged in [logged, stems] {
-                    for entry in ENTRIES.iter().filter(|entry| !entry.may_have_joints(&logged)) {
-                        let matches = entry.robot().match_joint_names(&logged);
-                        assert!(matches.iter().all(|it| 2 * it.matched < it.joints), "{logged:?}");
-                    }
-                }
-            }
+    fn names_of_joints_are_known_without_parsing() {
+        for entry in ENTRIES.iter() {
+            let arm = entry.robot();
+            let moving = |joint: &&Joint| joint.kind.has_position() && joint.mimic.is_none();
+            let names = arm.joints().iter().filter(moving).map(|joint| joint.name.as_str());
+            assert!(names.eq(entry.joint_names.iter().copied()), "{}", arm.name);
+            assert_eq!(arm.joint_prefixes, entry.joint_prefixes);
         }
     }
 }
