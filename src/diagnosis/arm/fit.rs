@@ -14,7 +14,7 @@ use crate::selection::link_deviations::{
     LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations,
 };
 use crate::selection::model_selection::{
-    CandidateCauses, Cause, SelectedModel, SelectionStart, select_from_starts, select_model,
+    CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{
     MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms, skew_beside_link_deviations,
@@ -82,8 +82,7 @@ fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmF
         false => {
             candidates.always.extend(&hidden);
             let start = State { offsets, streams };
-            let at_state = SelectionStart::AtState;
-            let mut model = select_model(observations, start, &candidates, at_state, FIT_SAMPLES);
+            let mut model = select_model(observations, start, &candidates, FIT_SAMPLES);
             model.causes.extend(hidden);
             model.causes.sort_unstable();
             model
@@ -117,8 +116,7 @@ fn fit_with_link_deviations(
         };
         let start = common_start(decoded, corrected, with_offsets, &candidates);
         let candidates = candidates(decoded);
-        let at_state = SelectionStart::AtState;
-        let model = select_model(&observations, start, &candidates, at_state, FIT_SAMPLES);
+        let model = select_model(&observations, start, &candidates, FIT_SAMPLES);
         (model, candidates)
     };
     let (mut model, mut candidates) = fit_with(false);
@@ -184,8 +182,7 @@ fn fit_with_link_deviations(
     let always = [candidates.always, named].concat();
     let candidates = CandidateCauses { always, optional, ..candidates };
     let start = State { offsets, streams: plain };
-    let model =
-        select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
+    let model = select_model(&observations, start, &candidates, FIT_SAMPLES);
     Some(ArmFit { model, candidates, deviations, skews: Vec::new() })
 }
 
@@ -236,8 +233,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     let candidates = CandidateCauses { optional, ..candidates.clone() };
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
-    let model =
-        select_model(observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
+    let model = select_model(observations, start, &candidates, FIT_SAMPLES);
     let is_within_calibration = model.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
     });
@@ -278,8 +274,6 @@ fn small_causes(model: &SelectedModel, s: usize) -> Vec<Cause> {
 
 /// Requires several causes, or one with a remaining residual.
 fn allows_link_deviations(model: &SelectedModel) -> bool {
-    /// For white noise; a larger inflation indicates a wrong model.
-    const MAX_NOISE_INFLATION: f64 = 1.5;
     let can_be_imitated = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::JointScale(_));
     model.causes.iter().filter(can_be_imitated).count() > 1
         || model.noise().iter().any(|noise| noise.inflation() > MAX_NOISE_INFLATION)

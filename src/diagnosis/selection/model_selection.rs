@@ -4,8 +4,8 @@
 
 use crate::Measured;
 use crate::model::measurement::{
-    LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
-    STREAM_WIDTH, State, TOOL_COLUMNS_START,
+    LATENCY_COLUMN, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, RADIAL_SCALE_COLUMN,
+    REFERENCE_COLUMNS_START, SKEW_COLUMN, STREAM_WIDTH, State, TOOL_COLUMNS_START,
 };
 use crate::priors::price;
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -22,6 +22,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(crate) const MIN_CAUSE_SEPARATION: f64 = 1e-4;
 
 const MAX_EXHAUSTIVE_CAUSES: usize = 4;
+
+/// For white noise; a larger inflation indicates a wrong model.
+pub(crate) const MAX_NOISE_INFLATION: f64 = 1.5;
 
 /// Possible cause of a residual: parameters that are freed together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -447,23 +450,16 @@ pub(crate) struct SelectedModel {
     search: (Vec<Vec<Weight>>, Normal),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum SelectionStart {
-    /// Start at the given state. Best near the solution or with little information.
-    AtState,
-    /// First take a few steps with all causes free. Best if several large causes add up.
-    AllCausesFree,
-}
-
 /// Alternates selection and Gauss–Newton steps from `start`, with about `max_samples` samples per stream.
 pub(crate) fn select_model(
     observations: &[&PoseObservations],
     start: State,
     candidates: &CandidateCauses,
-    selection_start: SelectionStart,
     max_samples: usize,
 ) -> SelectedModel {
-    model_after_rounds(observations, start, candidates, selection_start, max_samples, MAX_ROUNDS)
+    let linear = Linearized::new(observations, &start, max_samples, &candidates.all());
+    let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
+    continue_rounds(observations, (start, &linear), candidates, max_samples, rounds)
 }
 
 const MAX_ROUNDS: usize = 12;
@@ -477,14 +473,21 @@ pub(crate) fn select_from_starts(
 ) -> Option<SelectedModel> {
     const FIRST_ROUNDS: usize = 4;
     const CONTINUED: usize = 4;
-    let both = [SelectionStart::AtState, SelectionStart::AllCausesFree];
-    let starts: Vec<(State, SelectionStart)> =
-        starts.into_iter().flat_map(|state| both.map(|start| (state.clone(), start))).collect();
+    /// Best if several large causes add up. Without them, best near the solution or with little information.
+    const ROUNDS_WITH_ALL_CAUSES: usize = 3;
     let observations = &[observations];
     let first: Vec<SelectedModel> = starts
         .into_par_iter()
-        .map(|(state, start)| {
-            model_after_rounds(observations, state, candidates, start, max_samples, FIRST_ROUNDS)
+        .flat_map_iter(|state| {
+            let linear = Linearized::new(observations, &state, max_samples, &candidates.all());
+            let after_rounds = |all_free: usize| {
+                let rounds = Rounds { all_free, most: FIRST_ROUNDS };
+                let start = (state.clone(), &linear);
+                continue_rounds(observations, start, candidates, max_samples, rounds)
+            };
+            let near = after_rounds(0);
+            let far = (!near.leaves_only_noise()).then(|| after_rounds(ROUNDS_WITH_ALL_CAUSES));
+            std::iter::once(near).chain(far)
         })
         .collect();
     let mut distinct: Vec<SelectedModel> = Vec::new();
@@ -499,24 +502,10 @@ pub(crate) fn select_from_starts(
             let SelectedModel { state, mut linear, search: (weights, normal), .. } = model;
             linear.set_weights(weights, normal);
             let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
-            continue_rounds(observations, (state, linear), candidates, max_samples, rounds)
+            continue_rounds(observations, (state, &linear), candidates, max_samples, rounds)
         })
         .collect();
     ranked(continued).into_iter().next()
-}
-
-fn model_after_rounds(
-    observations: &[&PoseObservations],
-    start: State,
-    candidates: &CandidateCauses,
-    selection_start: SelectionStart,
-    max_samples: usize,
-    rounds: usize,
-) -> SelectedModel {
-    let linear = Linearized::new(observations, &start, max_samples, &candidates.all());
-    let all_free = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
-    let rounds = Rounds { all_free, most: rounds };
-    continue_rounds(observations, (start, linear), candidates, max_samples, rounds)
 }
 
 /// Number of rounds.
@@ -529,29 +518,34 @@ struct Rounds {
 /// Rounds from a state with its linearisation.
 fn continue_rounds(
     observations: &[&PoseObservations],
-    (mut state, mut linear): (State, Linearized),
+    (mut state, linear): (State, &Linearized),
     candidates: &CandidateCauses,
     max_samples: usize,
     rounds: Rounds,
 ) -> SelectedModel {
     let all = candidates.all();
     let mut causes: Vec<Cause> = all.clone();
-    for round in 0..rounds.most {
+    // The linearisation after a round, and whether the state converged.
+    let mut after_round = |linear: &Linearized, round: usize| {
         let frees_all = round < rounds.all_free;
         let next = if frees_all {
             candidates.optional.clone()
         } else {
-            select_causes(&linear, candidates, &state).causes
+            select_causes(linear, candidates, &state).causes
         };
         let free: Vec<Cause> = candidates.always.iter().chain(&next).copied().collect();
         let step = linear.step(&parameters_of(&free, &state));
         let is_converged = !frees_all && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
-        linear = Linearized::new(observations, &state, max_samples, &all);
+        (Linearized::new(observations, &state, max_samples, &all), is_converged)
+    };
+    let (mut linear, mut is_converged) = after_round(linear, 0);
+    for round in 1..rounds.most {
         if is_converged {
             break;
         }
+        (linear, is_converged) = after_round(&linear, round);
     }
     let chosen: Vec<Cause> = candidates.always.iter().chain(&causes).copied().collect();
     let search = linear.update_weights(&state, &chosen);
@@ -602,6 +596,18 @@ impl SelectedModel {
             .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))
             .map(|weight| weight.noise)
             .collect()
+    }
+
+    /// Whether a model without optional causes leaves small white residuals. Other causes cannot explain more.
+    fn leaves_only_noise(&self) -> bool {
+        let is_white = |noise: Noise, max_sigma: f64| {
+            noise.sigma < max_sigma && noise.inflation() < MAX_NOISE_INFLATION
+        };
+        let is_explained = |s: usize| {
+            let [m, rad] = self.linear.noise_of(s);
+            is_white(m, MAX_EXPLAINED_M) && is_white(rad, MAX_EXPLAINED_RAD)
+        };
+        self.causes.is_empty() && (0..self.linear.streams.len()).all(is_explained)
     }
 
     /// Whether both have the same causes and converge to the same state.

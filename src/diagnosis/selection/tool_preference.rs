@@ -1,7 +1,7 @@
 //! Prefers a tool offset (an active TCP) to a base offset if the motion barely distinguishes them, as with
 //! constant tool orientation. A tool offset is a normal setting, a displaced base is a fault.
 
-use super::model_selection::{CandidateCauses, Cause, SelectedModel, SelectionStart, select_model};
+use super::model_selection::{CandidateCauses, Cause, SelectedModel, select_model};
 use crate::frames::constant_frames::tool_start;
 use crate::model::measurement::{PoseObservations, StreamState};
 use ground::geometry::Pose;
@@ -35,8 +35,7 @@ pub(crate) fn prefer_tool_frames(
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
         let optional = candidates.optional.iter().filter(without).copied().collect();
         let candidates = CandidateCauses { optional, ..candidates.clone() };
-        let other =
-            select_model(observations, start, &candidates, SelectionStart::AtState, max_samples);
+        let other = select_model(observations, start, &candidates, max_samples);
         if other.causes.len() <= model.causes.len() && fits_as_well(&other, &model) {
             model = other;
         }
