@@ -5,6 +5,7 @@ use crate::frames::constant_frames::{initial_frames, tool_frame};
 use crate::frames::position_fit::FkColumns;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
+use std::ops::Range;
 
 /// For a thinned and for a full view.
 const THINNED_FRAME_ITERATIONS: usize = 5;
@@ -36,6 +37,14 @@ impl ResidualSize {
     pub fn combined_m(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
+}
+
+/// Between two samples of a stream.
+pub(super) struct Distance {
+    samples: [usize; 2],
+    m: f64,
+    /// If rotations are used.
+    rad: Option<f64>,
 }
 
 #[derive(Clone)]
@@ -70,6 +79,18 @@ impl InterpretedPoses<'_> {
             q: rows.flatten().copied().collect(),
             spans: self.spans.clone(),
             turns: THINNED_FRAME_ITERATIONS,
+            ..*self
+        }
+    }
+
+    /// Some consecutive samples.
+    pub fn range(&self, rows: Range<usize>) -> Self {
+        let dof = self.chain.dof();
+        Self {
+            xyz: self.xyz[rows.clone()].to_vec(),
+            rotation: self.rotation.as_ref().map(|all| all[rows.clone()].to_vec()),
+            q: self.q[rows.start * dof..rows.end * dof].to_vec(),
+            spans: self.spans.clone(),
             ..*self
         }
     }
@@ -141,24 +162,32 @@ impl InterpretedPoses<'_> {
         [self.xyz[k] - predicted.translation.vector, rotation]
     }
 
+    /// Distances and angles between some samples.
+    pub fn distances(&self) -> Vec<Distance> {
+        let n = self.len();
+        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| [k, (k + step) % n]));
+        let distance = |[a, b]: [usize; 2]| Distance {
+            samples: [a, b],
+            m: (self.xyz[a] - self.xyz[b]).norm(),
+            rad: self.rotation.as_ref().map(|rotation| angle_between(&rotation[a], &rotation[b])),
+        };
+        pairs.map(distance).collect()
+    }
+
     /// Frame-independent residual: distances and angles between samples, rms m. A tool offset changes them
     /// slightly.
-    pub fn strain(&self, map: &JointMap) -> f64 {
+    pub fn strain(&self, map: &JointMap, distances: &[Distance]) -> f64 {
         let fk = self.fk(map);
-        let n = fk.len();
-        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (k, (k + step) % n)));
-        let (mut sum, mut count) = (0.0, 0);
-        for (a, b) in pairs {
+        let mut sum = 0.0;
+        for &Distance { samples: [a, b], m, rad } in distances {
             let far = (fk[a].translation.vector - fk[b].translation.vector).norm();
-            sum += (far - (self.xyz[a] - self.xyz[b]).norm()).powi(2);
-            if let Some(rotation) = &self.rotation {
-                let turned = angle_between(&fk[a].rotation, &fk[b].rotation);
-                let angle = turned - angle_between(&rotation[a], &rotation[b]);
+            sum += (far - m).powi(2);
+            if let Some(rad) = rad {
+                let angle = angle_between(&fk[a].rotation, &fk[b].rotation) - rad;
                 sum += (self.lever_m * angle).powi(2);
             }
-            count += 1;
         }
-        (sum / f64::from(count.max(1))).sqrt()
+        (sum / distances.len().max(1) as f64).sqrt()
     }
 
     /// Residual with the best frames, as one length.

@@ -212,7 +212,10 @@ fn best_proposals(
             scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
         };
     let screened = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
-        true => by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map)),
+        true => {
+            let distances = thin.distances();
+            by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map, &distances))
+        }
         false => proposals,
     };
     by(screened, most, &|map| view.misfit(map, freedom))
