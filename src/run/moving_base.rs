@@ -1,10 +1,9 @@
 //! Transforms poses in a moving frame, such as odometry, to the base.
 
-use crate::geometry::Pose;
+use crate::geometry::{Pose, interpolate};
 use crate::stream::{Orientations, PoseTrack};
 
 use super::sources::{MovingBase, PoseSource};
-use super::tf_tree::between;
 
 impl PoseSource {
     /// Transforms the poses again with transforms `lag_s` before the stamps. `is_on_time` if that is the
@@ -29,7 +28,7 @@ impl MovingBase {
         }
         let left = right.checked_sub(1)?;
         let part = (t_s - self.t_s[left]) / (after_s - self.t_s[left]);
-        Some(between(&self.base_from_frame[left], after, part))
+        Some(interpolate(&self.base_from_frame[left], after, part))
     }
 
     /// Poses in the base, with transforms `lag_s` before the stamps.
