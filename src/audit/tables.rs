@@ -58,6 +58,7 @@ impl ConfigurationTable {
             stamp_error_s: 0.0,
             stamps_copied: true,
             removed_ramp: None,
+            moving_frame: None,
         };
         let streams: Vec<PoseStream> = poses.iter().map(stream).collect();
         let found = diagnose_arm(&track, &streams, ROW_INTERVAL_S);

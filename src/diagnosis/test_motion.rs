@@ -34,6 +34,7 @@ pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> 
         stamp_error_s: 0.0,
         stamps_copied: false,
         removed_ramp: None,
+        moving_frame: None,
     }
 }
 

@@ -162,6 +162,7 @@ fn group_offset(
             stamp_error_s: 0.0,
             stamps_copied: false,
             removed_ramp: None,
+            moving_frame: None,
         };
         let peaks = candidate_lags(&joint_track, &stream, max_lag_s);
         let height = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);

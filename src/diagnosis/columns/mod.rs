@@ -594,6 +594,7 @@ impl NumericTable {
             stamp_error_s: 0.0,
             stamps_copied: false,
             removed_ramp: None,
+            moving_frame: None,
         };
         let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };

@@ -388,6 +388,7 @@ mod tests {
             stamp_error_s: 0.0,
             stamps_copied: false,
             removed_ramp: None,
+            moving_frame: None,
         };
         let (alternation, corrected) = detect_tool_switching(&joints, &stream)?;
         Some((alternation, corrected, usual))

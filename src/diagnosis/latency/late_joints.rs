@@ -225,6 +225,7 @@ mod tests {
                 stamp_error_s: 0.0,
                 stamps_copied: false,
                 removed_ramp: None,
+                moving_frame: None,
             };
             let fit = |own: &[usize]| TwoLatencies::fit(&joints, &stream, (1.0, 0.0), own);
             let (two, one) = (fit(&[3, 4, 5]).expect("a fit"), fit(&[]).expect("a fit"));

@@ -290,6 +290,7 @@ fn the_expected_precision_is_reached() {
             stamp_error_s: 0.0,
             stamps_copied: false,
             removed_ramp: None,
+            moving_frame: None,
         };
         diagnose_arm(&motion, &[stream], 1.0)
     };
