@@ -59,6 +59,7 @@ impl ConfigurationTable {
             stamps_copied: true,
             removed_ramp: None,
             last_turn: LastTurn::Unknown,
+            moving_frame: None,
         };
         let streams: Vec<PoseStream> = poses.iter().map(stream).collect();
         let found = diagnose_arm(&track, &streams, ROW_INTERVAL_S);

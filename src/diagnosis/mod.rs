@@ -11,8 +11,9 @@
 //! ```
 //! `s` is the stamp, `C` the discrete encoding (unit, axes, rotation convention, inversion), `reference`
 //! (`stream_from_reference`; reports use its inverse) and `tool` are constant frame errors, `scaled`
-//! multiplies positions by `1 + radial_scale` about the base. `δ` are joint zeros, and scales and couplings
-//! if the joints' encoding has any. The noise is white plus first-order autoregressive (`solver::noise`),
+//! multiplies positions by `1 + radial_scale` about the base. If the base moves in the frame of the logged poses, these are
+//! transformed to the base at `s − lag`, and FK includes the base's motion from `s − lag` to `s − τ`
+//! (`model::moving_frame`). `δ` are joint zeros, and scales and couplings if the joints' encoding has any. The noise is white plus first-order autoregressive (`solver::noise`),
 //! with Huber weights (`solver::robust`).
 //!
 //! # Steps (`diagnose`)
@@ -156,6 +157,7 @@ pub use latency::late_joints::{LateJoints, with_earlier_joints};
 pub use latency::profile::{LatencyProfile, LatencyShape, LatencyStep};
 pub use latency::ramp::LatencyRamp;
 pub use latency::residual_by_latency::{LatencyResidual, residual_by_latency};
+pub use model::moving_frame::MovingFrame;
 pub use model::observability::{Observability, StreamParameter, WeakDirection};
 pub use residuals::residual_check::{
     ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
@@ -250,6 +252,8 @@ pub struct PoseStream<'a> {
     pub stamps_copied: bool,
     /// Latency ramp already subtracted from the stamps, to be reported with the remaining profile.
     pub removed_ramp: Option<&'a LatencyRamp>,
+    /// Frame of the logged poses, if it moves in the base. `track` is transformed to the base.
+    pub moving_frame: Option<&'a MovingFrame>,
     /// What a turn about the last joint's axis belongs to.
     pub last_turn: LastTurn,
 }

@@ -35,6 +35,7 @@ pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> 
         stamps_copied: false,
         removed_ramp: None,
         last_turn: crate::LastTurn::Unknown,
+        moving_frame: None,
     }
 }
 

@@ -19,7 +19,6 @@ mod joint_order;
 mod joints;
 mod model;
 mod models;
-mod moving_base;
 mod namespace;
 mod norm_defects;
 mod not_audited;

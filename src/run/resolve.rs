@@ -192,6 +192,7 @@ fn arm_lead_s(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
         stamps_copied: false,
         removed_ramp: None,
         last_turn: LastTurn::Unknown,
+        moving_frame: None,
     };
     let peak = best_lag_peak(&leader.joints, &stream, max_lag_s)?;
     (peak.correlation >= MIN_LEAD_CORRELATION && peak.lag_s > MIN_LEAD_S).then_some(peak.lag_s)
@@ -342,22 +343,22 @@ fn align_moving_bases(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
-            let Some(moving_base) = &of.poses[source].moving_base else { continue };
             let stream = run.pose_stream(&of.poses[source]);
-            let at = |t_s: f64| moving_base.pose_at(t_s);
-            let Some(lag) =
-                estimate_moving_base_lag(&of.joints, &stream, &moving_base.logged, &at, max_lag_s)
-            else {
+            let Some(lag) = estimate_moving_base_lag(&of.joints, &stream, max_lag_s) else {
                 continue;
             };
-            let frame = moving_base.frame.clone();
+            let late_s = lag.transform_latency_s;
             let source = &mut run.arms[arm].poses[source];
-            source.retransform(lag.lag_s, lag.is_on_time);
+            let Some(base) = &mut source.moving_base else { continue };
+            base.motion.t_s.iter_mut().for_each(|t_s| *t_s -= late_s);
+            let frame = base.frame.clone();
+            source.retransform(lag.latency_s);
             let index = source.stream;
-            if let (false, Some(stream)) = (lag.is_on_time, run.streams.get_mut(index)) {
+            if let (true, Some(stream)) = (late_s != 0.0, run.streams.get_mut(index)) {
+                let (late_ms, side) =
+                    (1e3 * late_s.abs(), if late_s > 0.0 { "late" } else { "early" });
                 stream.reason += &format!(
-                    "; the transforms of '{frame}' fit best {:.0} ms before its stamps",
-                    1e3 * lag.lag_s
+                    "; the transforms of '{frame}' are {late_ms:.0} ms {side} against the joint states"
                 );
             }
         }
@@ -370,14 +371,9 @@ pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnos
     const MAX_LATENCY_DIFFERENCE_S: f64 = 3e-4;
     let mut has_changed = false;
     for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
-        let Some(moving_base) =
-            source.moving_base.as_ref().filter(|moving_base| moving_base.is_on_time)
-        else {
-            continue;
-        };
-        let Ok(latency) = &found.latency_s else { continue };
-        if (latency.value - moving_base.lag_s).abs() > MAX_LATENCY_DIFFERENCE_S {
-            source.retransform(latency.value, true);
+        let (Some(base), Ok(latency)) = (&source.moving_base, &found.latency_s) else { continue };
+        if (latency.value - base.motion.lag_s).abs() > MAX_LATENCY_DIFFERENCE_S {
+            source.retransform(latency.value);
             has_changed = true;
         }
     }

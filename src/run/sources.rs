@@ -2,7 +2,7 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use crate::diagnosis::{ImuStream, LastTurn, PoseStream};
+use crate::diagnosis::{ImuStream, LastTurn, MovingFrame, PoseStream};
 use crate::geometry::Pose;
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
@@ -44,6 +44,17 @@ impl PoseSource {
             stamps_copied: self.stamps_copied,
             removed_ramp: None,
             last_turn: self.last_turn,
+            moving_frame: self.moving_base.as_ref().map(|base| &base.motion),
+        }
+    }
+
+    /// Transforms poses in a moving frame to the base again, with this latency.
+    pub(crate) fn retransform(&mut self, latency_s: f64) {
+        let Some(base) = &mut self.moving_base else { return };
+        let motion = MovingFrame { lag_s: latency_s, ..base.motion.clone() };
+        let transformed = motion.in_base(&base.logged);
+        if transformed.t_s.len() > 1 {
+            (base.motion, self.track) = (motion, transformed);
         }
     }
 
@@ -77,16 +88,10 @@ impl PoseSource {
 pub struct MovingBase {
     /// The frame.
     pub frame: String,
-    /// Times of the transforms, s from the run's origin, strictly increasing.
-    pub t_s: Vec<f64>,
-    /// Poses of the frame in the base.
-    pub base_from_frame: Vec<Pose>,
+    /// Its motion.
+    pub motion: MovingFrame,
     /// The audited link's poses in the frame, as logged.
     pub logged: PoseTrack,
-    /// Age of the transform at the pose's stamp, s.
-    pub lag_s: f64,
-    /// Whether that equals the poses' latency, and follows it.
-    pub is_on_time: bool,
 }
 
 /// An IMU on an arm.

@@ -163,6 +163,7 @@ fn group_offset(
             stamps_copied: false,
             removed_ramp: None,
             last_turn: LastTurn::Unknown,
+            moving_frame: None,
         };
         let peaks = candidate_lags(&joint_track, &stream, max_lag_s);
         let height = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 
 use super::tf_error::TfError;
-use crate::geometry::{Pose, rotation_from_rotvec, rotvec_from_rotation};
+use crate::geometry::{Pose, interpolate};
 use crate::robot::nearest;
 use crate::time::Stamp;
 
@@ -43,7 +43,7 @@ impl Edge {
         }
         let left = right.checked_sub(1)?;
         let part = at.seconds_since(self.stamps[left]) / stamp.seconds_since(self.stamps[left]);
-        Some(between(&self.parent_from_child[left], pose, part))
+        Some(interpolate(&self.parent_from_child[left], pose, part))
     }
 
     /// `parent_from_child` of its first sample.
@@ -58,15 +58,6 @@ impl Edge {
             _ => 0.0,
         }
     }
-}
-
-/// Interpolates; `part` is 0 to 1.
-pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
-    let turn = rotvec_from_rotation(&(a.rotation.inverse() * b.rotation));
-    Pose::from_parts(
-        a.translation.vector.lerp(&b.translation.vector, part).into(),
-        a.rotation * rotation_from_rotvec(turn * part),
-    )
 }
 
 /// Frames of a log and their transforms.

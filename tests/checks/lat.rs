@@ -1,7 +1,7 @@
 //! LAT: late or early streams.
 
 use poseaudit::finding::{CheckRow, Status};
-use poseaudit::synth::{Camera, IMU, JOINT_STATES, Motion, POSE, TARGET, TF, Timing};
+use poseaudit::synth::{Camera, IMU, JOINT_STATES, Motion, MovingBase, POSE, TARGET, TF, Timing};
 
 use crate::checks::case::ExpectedEstimate::Amount;
 use crate::checks::case::ExpectedSubject::Topic;
@@ -10,6 +10,20 @@ use crate::checks::case::{
 };
 use crate::checks::recording::shift_stamps;
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
+
+/// Poses in the odometry frame of a base that drives and turns.
+fn drive(log: &mut Log) {
+    let frame_id = "odom".to_owned();
+    log.run.duration_s = 16.0;
+    log.run.imu.timing.rate_hz = 0.0;
+    log.run.pose.frame_id.clone_from(&frame_id);
+    log.run.moving_base = Some(MovingBase {
+        frame_id,
+        reach_m: 1.5,
+        turn_rad: 0.8,
+        transform_timing: Timing::every(50.0, 0.0061),
+    });
+}
 
 cases! {
     LAT001 a_late_pose: |log| log.run.pose.timing.latency_s = 0.015
@@ -49,6 +63,12 @@ cases! {
     } => error(Topic(TARGET), Amount(0.025, 1.5e-3));
     LAT001 a_target_without_latency: |log| crate::checks::hec::watch_target(log, Camera::InHand) => NoFindings;
 
+    LAT001 a_pose_on_a_moving_base_passes: drive => NoFindings;
+    LAT001 a_late_pose_on_a_moving_base: |log| {
+        drive(log);
+        log.run.pose.timing.latency_s = 0.015;
+    } => error(Topic(POSE), Amount(0.015, 0.2e-3));
+
     LAT001 half_a_millisecond_passes: |log| log.run.pose.timing.latency_s = 0.5e-3 => NoFindings;
 
     LAT001 a_misread_rotation_is_not_reported_as_latency: |log| log.run.pose.encoding = crate::checks::ord::misread_as_rpy()
@@ -80,6 +100,10 @@ cases! {
         => warning(Topic(POSE), Amount(400e-6, 10e-6));
     LAT002 a_clock_that_runs_fast: |log| log.run.pose.timing.skew = -800e-6
         => error(Topic(POSE), Amount(-800e-6, 10e-6));
+    LAT002 a_clock_that_runs_slow_on_a_moving_base: |log| {
+        drive(log);
+        log.run.pose.timing.skew = 400e-6;
+    } => warning(Topic(POSE), Amount(400e-6, 20e-6));
     LAT002 a_skew_of_ten_millionths_passes: |log| log.run.pose.timing.skew = 10e-6 => NoFindings;
     LAT002 a_late_pose_is_not_reported_as_clock_skew: |log| log.run.pose.timing.latency_s = 0.022
         => OnlyOtherFinding("LAT001");
@@ -109,6 +133,14 @@ cases! {
         log.run.duration_s = 16.0;
         log.edit = Some(|messages| shift_stamps(messages, POSE, 9.0, f64::MAX, -0.012));
     } => warning(Topic(POSE), Amount(-0.012, 1e-3));
+    LAT003 a_latency_step_of_a_pose_on_a_moving_base: |log| {
+        drive(log);
+        log.edit = Some(|messages| shift_stamps(messages, POSE, 9.0, f64::MAX, -0.012));
+    } => warning(Topic(POSE), Amount(-0.012, 1e-3));
+    LAT003 a_clock_step_of_a_pose_on_a_moving_base: |log| {
+        drive(log);
+        log.edit = Some(|messages| shift_stamps(messages, POSE, 9.0, f64::MAX, 0.8));
+    } => error(Topic(POSE), Amount(0.8, 2e-3));
     LAT003 a_latency_step_of_an_imu: |log| {
         log.run.duration_s = 16.0;
         log.edit = Some(|messages| shift_stamps(messages, IMU, 9.0, f64::MAX, 0.025));

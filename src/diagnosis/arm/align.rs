@@ -32,6 +32,7 @@ pub(super) fn align(
         excluded: observations.excluded,
         tool_part: observations.tool_part,
         middle_s: observations.middle_s,
+        moving_frame: None,
     };
     let zero = vec![0.0; recorded.dof];
     let (mut sweep, mut truth_sweep) =
@@ -60,6 +61,11 @@ pub(super) fn align(
         if observations.excluded != ExcludedComponents::default() {
             observations.excluded.fill(&mut decoded_pose, &correction.invert(&truth));
         }
+        let base = stream
+            .moving_frame
+            .and_then(|frame| frame.pose_at(observations.t_s[k] - frame.lag_s))
+            .map(|base_from_frame| base_from_frame.inverse());
+        aligned.frame_from_base.extend(base);
         aligned.t_s.push(observations.t_s[k]);
         aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
         aligned.fk.push(fk);

@@ -100,6 +100,7 @@ impl<'a> StreamSource<'a> {
             },
             tool_part: ToolPart::Whole,
             middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
+            moving_frame: None,
         }
     }
 }

@@ -40,6 +40,7 @@ impl TipSensitivity {
             excluded: ExcludedComponents::default(),
             tool_part: ToolPart::Whole,
             middle_s: 0.0,
+            moving_frame: None,
         };
         let plain = StreamState::at_latency(0.0);
         let linear = link_frames(

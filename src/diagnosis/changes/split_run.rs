@@ -84,10 +84,10 @@ impl SplitRun<'_> {
 
     pub fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
         let track = |s: usize| {
-            let track = self.arm.streams[s].track;
+            let stream = &self.arm.streams[s];
             let rows: Vec<(usize, f64)> =
-                self.rows(s, span).map(|row| (row, track.t_s[row])).collect();
-            with_stamps(track, &rows)
+                self.rows(s, span).map(|row| (row, stream.track.t_s[row])).collect();
+            with_stamps(stream, &rows)
         };
         (0..self.arm.streams.len()).map(track).collect()
     }

@@ -595,6 +595,7 @@ impl NumericTable {
             stamps_copied: false,
             removed_ramp: None,
             last_turn: crate::LastTurn::Unknown,
+            moving_frame: None,
         };
         let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };

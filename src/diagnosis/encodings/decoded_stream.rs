@@ -155,6 +155,7 @@ pub(crate) fn decode_stream<'a>(
             Some(_) => ToolPart::Whole,
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
+        moving_frame: stream.moving_frame,
     };
     let logged = LoggedRotations::from_orientations(&orientation);
     choose_branches(

@@ -4,9 +4,11 @@ use super::constant_frames::misfit_of_frames;
 use super::position_fit::spread;
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
+use crate::latency::coarse::detect_pose_latency_changes;
+use crate::latency::compensation::with_stamps;
 use crate::latency::correlation::ArmSpeeds;
 use ground::geometry::{Pose, Vec3};
-use ground::stream::{JointTrack, Orientations, PoseTrack};
+use ground::stream::{JointTrack, Orientations};
 
 const MAX_SAMPLES: usize = 300;
 const MIN_SAMPLES: usize = 20;
@@ -14,7 +16,7 @@ const MIN_SAMPLES: usize = 20;
 const MAX_LAG_S: f64 = 0.5;
 const INITIAL_STEP_S: f64 = 0.02;
 const FINAL_STEP_S: f64 = 2e-5;
-/// Separate latencies of transforms and poses must reduce the residual to this fraction.
+/// Separate latencies of transforms and poses, or one that varies, must reduce the residual to this fraction.
 const MAX_RESIDUAL_RATIO: f64 = 0.7;
 /// Separate latencies must differ by more than this.
 const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
@@ -23,33 +25,49 @@ const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
 const MAX_RESIDUAL_SHARE: f64 = 0.1;
 const MAX_RESIDUAL_RATIO_OFF_ARM: f64 = 0.5;
 
-/// Time at which to evaluate the transform of a moving frame.
+/// Latencies of poses in a moving frame and of its transforms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovingBaseLag {
-    /// Before the poses' stamps, s.
-    pub lag_s: f64,
-    /// Whether it equals the poses' latency, so transforms are on time.
-    pub is_on_time: bool,
+    /// Latency of the poses, s. If it varies, its smallest level, or 0 for a ramp.
+    pub latency_s: f64,
+    /// Latency of the transforms, s.
+    pub transform_latency_s: f64,
 }
 
-/// Time at which to evaluate the transform of `logged`'s frame to match FK: minimises the position residual
-/// of `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool` over λ and τ, which are equal unless
-/// separate values fit clearly better. `None` if too few samples have a transform.
+/// Estimates the latencies of the poses in a moving frame and of its transforms by FK: minimises the position residual of
+/// `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool` over λ and τ, which are equal unless separate values fit
+/// clearly better. If the latency of the poses varies, the stamps are compensated first. `None` if too few samples have a
+/// transform.
 ///
-/// `stream` gives chain and columns; `base_from_frame` is defined at some times only.
+/// `stream` is transformed to the base with its moving frame at some latency.
 pub fn estimate_moving_base_lag(
     joints: &JointTrack,
     stream: &PoseStream,
-    logged: &PoseTrack,
-    base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
     max_lag_s: f64,
 ) -> Option<MovingBaseLag> {
+    let constant = lag_with_stamps(joints, stream, max_lag_s);
+    let varying = detect_pose_latency_changes(joints, stream, max_lag_s).and_then(|change| {
+        let track = with_stamps(stream, &change.compensated(&stream.track.t_s));
+        lag_with_stamps(joints, &PoseStream { track: &track, ..*stream }, max_lag_s)
+    });
+    let max_m = constant.map_or(f64::INFINITY, |(_, residual_m)| MAX_RESIDUAL_RATIO * residual_m);
+    Some(varying.filter(|(_, residual_m)| *residual_m < max_m).or(constant)?.0)
+}
+
+/// The same at constant latencies, and the residual, m.
+fn lag_with_stamps(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    max_lag_s: f64,
+) -> Option<(MovingBaseLag, f64)> {
+    let frame = stream.moving_frame?;
+    let logged = frame.in_frame(stream.track);
     let rows = sample_rows(logged.t_s.len());
     let cost = |lag_s: f64, latency_s: f64| -> f64 {
         let mut fk = FkSequence::new(joints, stream);
         let offsets = rows.iter().filter_map(|&row| {
             let t_s = logged.t_s[row];
-            let at = base_from_frame(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
+            let at = frame.pose_at(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
             let arm = fk.at(t_s - latency_s)?;
             Some(arm.rotation.inverse() * (at.coords - arm.translation.vector))
         });
@@ -71,21 +89,22 @@ pub fn estimate_moving_base_lag(
         return None;
     }
     let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
-    let in_base = rows.iter().filter_map(|&row| {
-        let at = base_from_frame(logged.t_s[row])? * nalgebra::Point3::from(logged.xyz[row]);
-        Some(at.coords)
-    });
-    let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
     let min_cost = cost(lag_s, latency_s);
-    if min_cost > MAX_RESIDUAL_SHARE * extent_m
+    if min_cost > MAX_RESIDUAL_SHARE * spread(&stream.track.xyz)
         && min_cost > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
     {
         // No lag matches FK: joints may be misinterpreted, so keep the stamps.
-        return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
+        return Some((MovingBaseLag { latency_s: 0.0, transform_latency_s: 0.0 }, min_cost));
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
-        || cost(lag_s, latency_s) > MAX_RESIDUAL_RATIO * min_cost_together;
-    Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
+        || min_cost > MAX_RESIDUAL_RATIO * min_cost_together;
+    Some(match is_on_time {
+        true => {
+            let lag = MovingBaseLag { latency_s: together, transform_latency_s: 0.0 };
+            (lag, min_cost_together)
+        }
+        false => (MovingBaseLag { latency_s, transform_latency_s: latency_s - lag_s }, min_cost),
+    })
 }
 
 /// Pattern search (Hooke and Jeeves 1961): steps along axes and diagonals, halved when none improves.
@@ -287,26 +306,29 @@ fn sample_rows(rows: usize) -> Vec<usize> {
 mod tests {
     use super::*;
     use crate::test_motion::arm;
+    use crate::{MovingFrame, diagnose_run};
     use ground::geometry::rotation_from_rpy;
+    use ground::stream::PoseTrack;
 
     fn odometry(t_s: f64) -> Pose {
         let turn = rotation_from_rpy([0.0, 0.0, 0.4 * (0.27 * t_s).sin()]);
         Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
     }
 
-    /// Track in `frame(t)`, with a constant latency.
+    /// Track in `frame(t)`, with a latency by stamp.
     fn track(
         joints: &JointTrack,
         chain: &ground::robot::Chain,
-        latency_s: f64,
+        latency_s: impl Fn(f64) -> f64,
         frame: impl Fn(f64) -> Pose,
     ) -> PoseTrack {
         let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
         let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
-            assert!(joints.at(stamp - latency_s, &mut 0, &mut q, &mut qd));
-            let pose = frame(stamp - latency_s) * chain.forward(&q);
+            let truth_s = stamp - latency_s(stamp);
+            assert!(joints.at(truth_s, &mut 0, &mut q, &mut qd));
+            let pose = frame(truth_s) * chain.forward(&q);
             t_s.push(stamp);
             xyz.push(pose.translation.vector);
             rotations.push(pose.rotation);
@@ -325,20 +347,68 @@ mod tests {
             stamps_copied: false,
             removed_ramp: None,
             last_turn: crate::LastTurn::Unknown,
+            moving_frame: None,
         }
+    }
+
+    /// Odometry with this latency, and the poses in it transformed to the base at their stamps.
+    fn moving_frame(latency_s: f64) -> MovingFrame {
+        let t_s: Vec<f64> = (0..1000).map(|row| f64::from(row) * 0.02).collect();
+        let base_from_frame = t_s.iter().map(|t_s| odometry(t_s - latency_s).inverse()).collect();
+        MovingFrame { t_s, base_from_frame, lag_s: 0.0 }
     }
 
     #[test]
     fn base_transforms_are_used_at_their_true_time() {
         let (joints, chain) = arm();
-        let logged = track(&joints, &chain, 0.03, odometry);
+        let logged = track(&joints, &chain, |_| 0.03, odometry);
         let lag = |edge_s: f64| {
-            let at = move |t_s: f64| Some(odometry(t_s - edge_s).inverse());
-            estimate_moving_base_lag(&joints, &stream(&logged, &chain), &logged, &at, 5.0).unwrap()
+            let frame = moving_frame(edge_s);
+            let in_base = frame.in_base(&logged);
+            let stream = PoseStream { moving_frame: Some(&frame), ..stream(&in_base, &chain) };
+            estimate_moving_base_lag(&joints, &stream, 5.0).expect("a latency")
         };
         let (on_time, late) = (lag(0.0), lag(0.05));
-        assert!(on_time.is_on_time && (on_time.lag_s - 0.03).abs() < 2e-4, "{on_time:?}");
-        assert!(!late.is_on_time && (late.lag_s + 0.02).abs() < 1e-3, "{late:?}");
+        assert!((on_time.latency_s - 0.03).abs() < 2e-4, "{on_time:?}");
+        assert_eq!(on_time.transform_latency_s, 0.0);
+        assert!((late.latency_s - 0.03).abs() < 1e-3, "{late:?}");
+        assert!((late.transform_latency_s - 0.05).abs() < 1e-3, "{late:?}");
+    }
+
+    #[test]
+    fn a_changing_latency_of_poses_on_a_moving_base_is_compensated() {
+        let (joints, chain) = arm();
+        let frame = moving_frame(0.0);
+        let steps = [0.012, 0.03, 0.5]
+            .map(|size_s| move |t_s: f64| if t_s > 9.0 { 0.004 + size_s } else { 0.004 });
+        for latency_s in steps {
+            let logged = track(&joints, &chain, latency_s, odometry);
+            let in_base = frame.in_base(&logged);
+            let stream = PoseStream { moving_frame: Some(&frame), ..stream(&in_base, &chain) };
+            let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
+            let found = &found.streams[0];
+            let size_s = latency_s(10.0) - latency_s(0.0);
+            let profile = found.latency_profile.as_ref().expect("a profile");
+            let [step] = profile.steps.as_slice() else { panic!("{size_s}: {profile:?}") };
+            assert!((step.size_s.value - size_s).abs() < 3e-4, "{size_s}: {step:?}");
+            let residual = found.residual.as_ref().expect("a residual");
+            assert!(residual.rms_m < 5e-4, "{size_s}: {residual:?}");
+        }
+    }
+
+    #[test]
+    fn latency_and_skew_of_poses_on_a_moving_base_are_exact() {
+        let (joints, chain) = arm();
+        let frame = moving_frame(0.0);
+        let logged = track(&joints, &chain, |t_s| 0.02 + 1e-3 * (t_s - 10.0), odometry);
+        let in_base = frame.in_base(&logged);
+        let stream = PoseStream { moving_frame: Some(&frame), ..stream(&in_base, &chain) };
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
+        let found = &found.streams[0];
+        let skew = found.skew.as_ref().expect("a skew");
+        assert!(found.is_skew_chosen && (skew.value - 1e-3).abs() < 2e-5, "{skew:?}");
+        let residual = found.residual.as_ref().expect("a residual");
+        assert!(residual.rms_m < 2e-4, "{residual:?}");
     }
 
     #[test]
@@ -392,12 +462,12 @@ mod tests {
     fn a_driving_base_is_distinguished_from_a_fixed_base_and_another_arm() {
         let (joints, chain) = arm();
         let travel = |track: PoseTrack| detect_base_motion(&joints, &stream(&track, &chain), 5.0);
-        let driven = travel(track(&joints, &chain, 0.03, odometry)).unwrap();
+        let driven = travel(track(&joints, &chain, |_| 0.03, odometry)).unwrap();
         assert!(driven.travel_m > 1.0 && (driven.turn_rad - 0.8).abs() < 0.4, "{driven:?}");
-        assert_eq!(travel(track(&joints, &chain, 0.0, |_| odometry(3.0))), None);
+        assert_eq!(travel(track(&joints, &chain, |_| 0.0, |_| odometry(3.0))), None);
         let pushed = |t_s: f64| odometry(if t_s < 9.0 { 1.0 } else { 2.0 });
-        assert_eq!(travel(track(&joints, &chain, 0.0, pushed)), None);
-        let mut other = track(&joints, &chain, 0.0, |_| Pose::identity());
+        assert_eq!(travel(track(&joints, &chain, |_| 0.0, pushed)), None);
+        let mut other = track(&joints, &chain, |_| 0.0, |_| Pose::identity());
         other.xyz.iter_mut().for_each(|xyz| xyz.x += 0.3 * xyz.y * xyz.z);
         assert_eq!(travel(other), None);
     }

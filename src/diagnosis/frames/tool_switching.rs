@@ -389,6 +389,7 @@ mod tests {
             stamps_copied: false,
             removed_ramp: None,
             last_turn: crate::LastTurn::Unknown,
+            moving_frame: None,
         };
         let (alternation, corrected) = detect_tool_switching(&joints, &stream)?;
         Some((alternation, corrected, usual))

@@ -2,7 +2,7 @@
 
 use super::CameraMount;
 use crate::latency::correlation::median_period_s;
-use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, interpolate, pose};
 use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -66,11 +66,7 @@ impl PoseSeries {
             return None;
         }
         let fraction = (t_s - before_s) / length_s;
-        let turn = rotvec_from_rotation(&(before.rotation.inverse() * after.rotation));
-        Some(Pose::from_parts(
-            before.translation.vector.lerp(&after.translation.vector, fraction).into(),
-            before.rotation * rotation_from_rotvec(turn * fraction),
-        ))
+        Some(interpolate(before, after, fraction))
     }
 }
 

@@ -220,6 +220,7 @@ fn samples_of_an_arm_that_dwells_show_other_places() {
         stamps_copied: false,
         removed_ramp: None,
         last_turn: crate::LastTurn::Unknown,
+        moving_frame: None,
     };
     let samples = slow_simultaneous_samples(&joints, &stream, 1.0, 0.0);
     assert!(samples.xyz.len() >= JOINT_ENCODING_SAMPLES / 2, "{} samples", samples.xyz.len());

@@ -59,9 +59,9 @@ pub fn detect_pose_latency_changes(
     stream: &PoseStream,
     max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let ArmSpeeds { linear, angular, .. } =
-        ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
-    let track = stream.track;
+    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::in_frame(joints, stream);
+    let in_frame = stream.moving_frame.map(|frame| frame.in_frame(stream.track));
+    let track = in_frame.as_ref().unwrap_or(stream.track);
     let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
     if let Orientations::Rotations(rotations) = &track.orientation {
         pairs.push((angular, angular_speed(&track.t_s, rotations)));

@@ -12,6 +12,7 @@ use crate::{
     JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
     detect_imu_latency_changes, detect_pose_latency_changes,
 };
+use ground::geometry::Pose;
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
@@ -98,7 +99,7 @@ impl CompensatedRun {
             .iter()
             .zip(&steps)
             .map(|(stream, steps)| {
-                Some(with_stamps(stream.track, &(*steps)?.compensated(&stream.track.t_s)))
+                Some(with_stamps(stream, &(*steps)?.compensated(&stream.track.t_s)))
             })
             .collect();
         let streams = with_tracks(streams, &step_free_tracks);
@@ -128,8 +129,8 @@ impl CompensatedRun {
             };
             let refined = profile.clone().combined_with(rest);
             if refined != *profile {
-                let track = streams[s].track;
-                tracks[s] = Some(with_stamps(track, &refined.compensated(&track.t_s)));
+                let rows = refined.compensated(&streams[s].track.t_s);
+                tracks[s] = Some(with_stamps(&streams[s], &rows));
                 (profiles[s], is_refined) = (Ok(refined), true);
             }
         }
@@ -170,7 +171,7 @@ fn steps_beside_links(
         .zip(run.streams)
         .map(|(profile, stream)| {
             let rows = profile.as_ref()?.compensated(&stream.track.t_s);
-            Some(with_stamps(stream.track, &rows))
+            Some(with_stamps(stream, &rows))
         })
         .collect();
     if tracks.iter().all(Option::is_none) {
@@ -221,7 +222,7 @@ fn diagnose_without_coarse_changes(
 ) -> ArmDiagnosis {
     let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
         let rows = change.as_ref()?.compensated(&stream.track.t_s);
-        Some(with_stamps(stream.track, &rows))
+        Some(with_stamps(stream, &rows))
     };
     let tracks: Vec<Option<PoseTrack>> = streams.iter().zip(changes).map(of_stream).collect();
     let mut streams = with_tracks(streams, &tracks);
@@ -316,10 +317,29 @@ pub fn compensate_latency(
     profile: &EstimateResult<LatencyProfile>,
 ) -> Option<PoseTrack> {
     let profile = profile.as_ref().ok().filter(|profile| profile.is_unsteady)?;
-    Some(with_stamps(stream.track, &profile.compensated(&stream.track.t_s)))
+    Some(with_stamps(stream, &profile.compensated(&stream.track.t_s)))
 }
 
-pub(crate) fn with_stamps(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
+/// These rows of a stream with other stamps. Poses in a moving frame are transformed to the base at these; rows without a
+/// transform are dropped.
+pub(crate) fn with_stamps(stream: &PoseStream, rows: &[(usize, f64)]) -> PoseTrack {
+    let PoseStream { track, moving_frame, .. } = *stream;
+    let Some(frame) = moving_frame else { return with_rows(track, rows) };
+    let moved = rows.iter().filter_map(|&(row, t_s)| {
+        Some(((row, t_s), frame.base_at(t_s, track.t_s[row] - frame.lag_s)?))
+    });
+    let (rows, bases): (Vec<_>, Vec<Pose>) = moved.unzip();
+    let mut track = with_rows(track, &rows);
+    for (xyz, base) in track.xyz.iter_mut().zip(&bases) {
+        *xyz = base.rotation * *xyz + base.translation.vector;
+    }
+    if let Orientations::Rotations(rotations) = &mut track.orientation {
+        rotations.iter_mut().zip(&bases).for_each(|(own, base)| *own = base.rotation * *own);
+    }
+    track
+}
+
+fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared
             .in_other_angles

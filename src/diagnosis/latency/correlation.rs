@@ -39,6 +39,24 @@ pub(crate) struct ArmSpeeds {
 
 impl ArmSpeeds {
     pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+        Self::with_base(joints, chain, columns, |_| Some([Vec3::zeros(); 2]))
+    }
+
+    /// Speeds in the frame of the logged poses, which may move in the base.
+    pub fn in_frame(joints: &JointTrack, stream: &PoseStream) -> Self {
+        Self::with_base(joints, stream.chain, stream.columns, |t_s| match stream.moving_frame {
+            Some(frame) => frame.base_velocity(t_s),
+            None => Some([Vec3::zeros(); 2]),
+        })
+    }
+
+    /// `base_velocity` in the base's axes, m/s and rad/s. Times without it are omitted.
+    fn with_base(
+        joints: &JointTrack,
+        chain: &Chain,
+        columns: &[usize],
+        base_velocity: impl Fn(f64) -> Option<[Vec3; 2]>,
+    ) -> Self {
         /// More do not improve the correlation.
         const MAX_ROWS: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
@@ -46,6 +64,9 @@ impl ArmSpeeds {
         let mut t_s = Vec::new();
         let mut speeds: [Vec<f64>; 3] = Default::default();
         for row in (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1)) {
+            let Some([base_linear, base_angular]) = base_velocity(joints.t_s[row]) else {
+                continue;
+            };
             t_s.push(joints.t_s[row]);
             for (own, &column) in q.iter_mut().zip(columns) {
                 *own = joints.row(row)[column];
@@ -58,10 +79,12 @@ impl ArmSpeeds {
                     *sum += part * rate;
                 }
             }
-            let linear = Vec3::new(twist[0], twist[1], twist[2]);
-            let angular = Vec3::new(twist[3], twist[4], twist[5]);
+            let tip = base_from_tip.translation.vector;
+            let linear =
+                Vec3::new(twist[0], twist[1], twist[2]) + base_linear + base_angular.cross(&tip);
+            let angular = Vec3::new(twist[3], twist[4], twist[5]) + base_angular;
             // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
-            let inverse = linear - angular.cross(&base_from_tip.translation.vector);
+            let inverse = linear - angular.cross(&tip);
             for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
                 speed.push(vector.norm());
             }

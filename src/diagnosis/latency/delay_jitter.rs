@@ -89,9 +89,8 @@ fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let dot = |a: &[Vec3; 2], b: &[Vec3; 2]| a[0].dot(&b[0]) + a[1].dot(&b[1]);
     let of = |k: usize| {
         let residual = difference(&aligned.corrected[k], &aligned.fk_at_truth[k]);
-        let span_s = t[k + 1] - t[k - 1];
-        let moved = difference(&aligned.fk_at_truth[k + 1], &aligned.fk_at_truth[k - 1]);
-        let velocity = moved.map(|moved| moved / span_s);
+        let [linear, angular] = aligned.velocity(k);
+        let velocity = [linear, angular * LEVER_M];
         let square = dot(&velocity, &velocity);
         let by_s = -dot(&residual, &velocity) / square.max(f64::MIN_POSITIVE);
         let across = [0, 1].map(|kind| residual[kind] + by_s * velocity[kind]);

@@ -226,6 +226,7 @@ mod tests {
                 stamps_copied: false,
                 removed_ramp: None,
                 last_turn: crate::LastTurn::Unknown,
+                moving_frame: None,
             };
             let fit = |own: &[usize]| TwoLatencies::fit(&joints, &stream, (1.0, 0.0), own);
             let (two, one) = (fit(&[3, 4, 5]).expect("a fit"), fit(&[]).expect("a fit"));

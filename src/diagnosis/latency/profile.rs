@@ -354,12 +354,10 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
     let rows = 1..t.len().saturating_sub(1);
     rows.map(|k| {
         let (corrected, expected) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
-        let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
-        let span_s = t[k + 1] - t[k - 1];
         let speed = speed(t[k]);
         // The noise of joints at rest is no velocity.
-        let velocity = match speed > 0.0 {
-            true => [position(after, before) / span_s, rotation(after, before) / span_s],
+        let velocity = match speed > 0.0 || !aligned.frame_from_base.is_empty() {
+            true => aligned.velocity(k),
             false => [Vec3::zeros(); 2],
         };
         LatencySample {

@@ -4,6 +4,7 @@
 //! reference frame: position in m, and the rotation vector of `logged · predicted⁻¹` in rad.
 
 use super::jacobian::{Derivative, PoseJacobian};
+use super::moving_frame::MovingFrame;
 use crate::FrameCorrection;
 use crate::solver::linear::{Linear, Rows};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -30,6 +31,9 @@ pub(crate) const FLOOR_RAD: f64 = 1e-6;
 /// Excess residual that counts as explained, rms: consistent with link deviations and calibration error.
 pub(crate) const MAX_EXPLAINED_M: f64 = 1e-3;
 pub(crate) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
+
+/// Slower bases rest, m/s or rad/s. The noise of odometry stays below.
+const MIN_BASE_SPEED: f64 = 0.01;
 
 /// Components of a stream without information, excluded from every residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -84,6 +88,8 @@ pub(crate) struct PoseObservations<'a> {
     pub tool_part: ToolPart,
     /// Stamp at which skew has no effect, s.
     pub middle_s: f64,
+    /// Frame from which the poses were transformed to the base, if it moves in the base.
+    pub moving_frame: Option<&'a MovingFrame>,
 }
 
 /// Components of a tool that a log can determine.
@@ -167,8 +173,11 @@ impl StreamState {
 
 /// Translation and rotation vector.
 pub(crate) fn twist_of(pose: &Pose) -> [f64; 6] {
-    let (p, r) = (pose.translation.vector, rotvec_from_rotation(&pose.rotation));
-    [p.x, p.y, p.z, r.x, r.y, r.z]
+    stacked([pose.translation.vector, rotvec_from_rotation(&pose.rotation)])
+}
+
+fn stacked([linear, angular]: [Vec3; 2]) -> [f64; 6] {
+    [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
 }
 
 pub(crate) fn pose_of_twist(twist: &[f64]) -> Pose {
@@ -253,20 +262,23 @@ pub(crate) struct PredictionBuffers {
     track_q: Vec<f64>,
     track_qd: Vec<f64>,
     q: Vec<f64>,
+    /// Per joint, then 1 for a moving base.
     qd: Vec<f64>,
+    /// Per joint, then the velocity by a moving base.
     jacobian: Vec<[f64; 6]>,
 }
 
 impl PredictionBuffers {
     pub fn new(observations: &PoseObservations) -> Self {
         let (dof, track) = (observations.columns.len(), observations.joints.dof);
+        let moves = usize::from(observations.moving_frame.is_some());
         Self {
             cursor: 0,
             track_q: vec![0.0; track],
             track_qd: vec![0.0; track],
             q: vec![0.0; dof],
-            qd: vec![0.0; dof],
-            jacobian: vec![[0.0; 6]; dof],
+            qd: vec![1.0; dof + moves],
+            jacobian: vec![[0.0; 6]; dof + moves],
         }
     }
 
@@ -279,7 +291,7 @@ impl PredictionBuffers {
 /// Prediction of one sample with its derivatives.
 pub(crate) struct LinearPrediction<'a> {
     pub jacobian: PoseJacobian<'a>,
-    /// Joint positions and velocities, in chain order.
+    /// Joint positions, and velocities as the columns of `jacobian`, in chain order.
     pub q: &'a [f64],
     pub qd: &'a [f64],
 }
@@ -298,7 +310,7 @@ impl PoseObservations<'_> {
         })
     }
 
-    /// Predicts sample `k`; leaves the Jacobian in `sweep`. `None` if joint states do not cover it.
+    /// Predicts sample `k`; leaves the Jacobian in `sweep`. `None` if joint states or transforms do not cover it.
     fn predict(
         &self,
         k: usize,
@@ -322,7 +334,22 @@ impl PoseObservations<'_> {
             }
             moving |= qd[i].abs() > self.rest_speeds[column];
         }
-        let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
+        let (of_joints, of_base) = jacobian.split_at_mut(q.len());
+        let mut base_from_link = self.chain.forward_with_jacobian(q, of_joints);
+        if let Some(frame) = self.moving_frame {
+            let base = frame.base_at(stamp, truth)?;
+            let [linear, angular] = frame.base_velocity(truth)?;
+            moving |= linear.norm().max(angular.norm()) > MIN_BASE_SPEED;
+            let linear = linear + angular.cross(&base_from_link.translation.vector);
+            for column in of_base {
+                *column = stacked([linear, angular]);
+            }
+            for column in jacobian.iter_mut() {
+                let parts = [0, 3].map(|part| Vec3::from_column_slice(&column[part..part + 3]));
+                *column = stacked(parts.map(|part| base.rotation * part));
+            }
+            base_from_link = base * base_from_link;
+        }
         let mut in_base = base_from_link * stream.tool;
         in_base.translation.vector *= 1.0 + stream.radial_scale;
         Some(Predicted { base_from_link, in_base, pose: stream.reference * in_base, moving })

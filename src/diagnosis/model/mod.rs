@@ -2,4 +2,5 @@
 
 pub(crate) mod jacobian;
 pub(crate) mod measurement;
+pub(crate) mod moving_frame;
 pub(crate) mod observability;

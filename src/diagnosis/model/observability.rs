@@ -238,6 +238,7 @@ fn achievable_information(
         excluded: observations.excluded,
         tool_part: observations.tool_part,
         middle_s: 0.5 * t_s[CONFIGURATIONS - 1],
+        moving_frame: None,
         t_s,
     };
     // Without latency, stamps match the configurations.

@@ -393,6 +393,7 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
         excluded: Default::default(),
         tool_part: ToolPart::Whole,
         middle_s: 0.0,
+        moving_frame: None,
         t_s: motion.t_s.clone(),
     };
     link_frames(

@@ -291,6 +291,7 @@ fn the_expected_precision_is_reached() {
             stamps_copied: false,
             removed_ramp: None,
             last_turn: crate::LastTurn::Unknown,
+            moving_frame: None,
         };
         diagnose_arm(&motion, &[stream], 1.0)
     };

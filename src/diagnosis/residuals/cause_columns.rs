@@ -212,17 +212,6 @@ impl<'a> CauseColumns<'a> {
         t_s.first().zip(t_s.last()).map_or(0.0, |(first, last)| 0.5 * (last - first))
     }
 
-    /// Of FK at a row.
-    fn velocity(&self, row: usize) -> Derivative {
-        let AlignedSamples { t_s, fk_at_truth, .. } = self.aligned.as_ref();
-        let (from, to) = (row.saturating_sub(1), (row + 1).min(t_s.len() - 1));
-        let (before, after) = (&fk_at_truth[from], &fk_at_truth[to]);
-        let moved = after.translation.vector - before.translation.vector;
-        let turned = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
-        let interval_s = (t_s[to] - t_s[from]).max(f64::MIN_POSITIVE);
-        [moved, turned].map(|change| change / interval_s)
-    }
-
     /// Residuals in m and rad, and their derivatives by the constant causes, then by these variable ones.
     pub fn linearize(&self, variable: &[VariableColumns]) -> Linear {
         let constant = self.constant();
@@ -239,7 +228,7 @@ impl<'a> CauseColumns<'a> {
             let tip = fk.translation.vector;
             let about_centre = pose((tip - self.centre).into(), fk.rotation);
             let jacobian = PoseJacobian::new(&[], &identity, &about_centre, &identity);
-            let late = self.velocity(row).map(|part| -part);
+            let late = self.aligned.velocity(row).map(|part| -part);
             let part = self.part(self.aligned.t_s[row]);
             let derivatives: [Derivative; CAUSES] = std::array::from_fn(|column| match column {
                 0..6 => jacobian.reference(column),

@@ -191,6 +191,7 @@ fn residual_with_calibration(
         excluded: ExcludedComponents::default(),
         tool_part: ToolPart::Whole,
         middle_s: 0.5 * (first + last),
+        moving_frame: stream.moving_frame,
     };
     let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
     let plain = StreamState {

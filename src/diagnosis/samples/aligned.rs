@@ -1,6 +1,6 @@
 //! Samples of a stream aligned with forward kinematics.
 
-use ground::geometry::{Pose, angle_between};
+use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 
 /// Poses of a stream and of FK, one entry per sample in each column.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +19,8 @@ pub struct AlignedSamples {
     /// Corrected joint positions at the time of measurement, in chain order: as many per sample as the chain has
     /// joints. Empty if unknown.
     pub q_at_truth: Vec<f64>,
+    /// Base of each sample in the moving frame of the logged poses. Empty if the frame does not move in the base.
+    pub frame_from_base: Vec<Pose>,
 }
 
 /// Distances between pairs of poses, one entry per pair.
@@ -39,6 +41,19 @@ impl AlignedSamples {
     /// Corrected poses against corrected FK.
     pub fn after(&self) -> PoseDistances {
         PoseDistances::between(&self.corrected, &self.fk_at_truth)
+    }
+
+    /// Velocity of `fk_at_truth` in the frame of the logged poses, in the axes of the sample's base: m/s and rad/s.
+    pub(crate) fn velocity(&self, row: usize) -> [Vec3; 2] {
+        let (from, to) = (row.saturating_sub(1), (row + 1).min(self.t_s.len() - 1));
+        let [before, after] = [from, to].map(|other| match self.frame_from_base.as_slice() {
+            [] => self.fk_at_truth[other],
+            base => base[row].inv_mul(&base[other]) * self.fk_at_truth[other],
+        });
+        let moved = after.translation.vector - before.translation.vector;
+        let turned = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
+        let interval_s = (self.t_s[to] - self.t_s[from]).max(f64::MIN_POSITIVE);
+        [moved, turned].map(|change| change / interval_s)
     }
 
     /// Middle of the stamps, s. 0 without samples.

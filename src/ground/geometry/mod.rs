@@ -54,5 +54,14 @@ pub fn xyz_of(pose: &Pose) -> [f64; 3] {
     pose.translation.vector.into()
 }
 
+/// Between two poses, linear in position and rotation angle; `part` is 0 to 1.
+pub fn interpolate(from: &Pose, to: &Pose, part: f64) -> Pose {
+    let turn = rotvec_from_rotation(&(from.rotation.inverse() * to.rotation));
+    Pose::from_parts(
+        from.translation.vector.lerp(&to.translation.vector, part).into(),
+        from.rotation * rotation_from_rotvec(turn * part),
+    )
+}
+
 #[cfg(test)]
 pub(crate) mod test_random;

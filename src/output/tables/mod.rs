@@ -122,6 +122,7 @@ mod tests {
             corrected: vec![turned_about_z([1.0, 1.0, 1.0], 0.0), Pose::identity()],
             fk_at_truth: vec![turned_about_z([1.0, 1.0, 1.5], 0.25), Pose::identity()],
             q_at_truth: Vec::new(),
+            frame_from_base: Vec::new(),
         }
     }
 

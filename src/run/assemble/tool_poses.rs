@@ -1,6 +1,6 @@
 //! Assigns pose and IMU streams to arms and determines their links.
 
-use crate::diagnosis::{FitHypotheses, LastTurn, fit_model, follows_as_logged};
+use crate::diagnosis::{FitHypotheses, LastTurn, MovingFrame, fit_model, follows_as_logged};
 use crate::geometry::Pose;
 use crate::robot::LinkId;
 use crate::stream::Columns;
@@ -18,8 +18,7 @@ use super::super::role::{
 };
 use super::super::shared_stream::{CandidateArm, SharedStream};
 use super::super::source_kind::{PoseNames, PoseSourceKind, classify_source};
-use super::super::sources::MovingBase;
-use super::super::sources::{ImuSource, PoseSource};
+use super::super::sources::{ImuSource, MovingBase, PoseSource};
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{RoleSetting, TopicSettings};
@@ -469,13 +468,14 @@ impl Assembly<'_> {
         let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
         let moving_base = stream_frames.moving_frame.as_ref().map(|samples| MovingBase {
             frame: self.streams[index].frame_id.clone(),
-            t_s: samples.iter().map(|(stamp, _)| seconds(stamp)).collect(),
-            base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
+            motion: MovingFrame {
+                t_s: samples.iter().map(|(stamp, _)| seconds(stamp)).collect(),
+                base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
+                lag_s: 0.0,
+            },
             logged: track.clone(),
-            lag_s: 0.0,
-            is_on_time: true,
         });
-        let track = moving_base.as_ref().map_or(track, |moving_base| moving_base.in_base(0.0));
+        let track = moving_base.as_ref().map_or(track, |base| base.motion.in_base(&base.logged));
         if track.t_s.len() < 2 {
             let what = "the transforms of its frame do not cover its time range".to_owned();
             return Err(SourceError::Kinematics(what));
