@@ -16,7 +16,7 @@ use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::cause_columns::{
     CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
 };
-use crate::residuals::comparison::{has_slow_residual, restore_recorded};
+use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
@@ -716,13 +716,16 @@ impl Removal {
         let Self { changes, patches, mut after } = self;
         let found = after.clone();
         let streams = Stream::all(run, &found);
+        /// Of the residual before, for changes beside correlated noise.
+        const MAX_RESIDUAL_SHARE: f64 = 0.5;
+        let explains_most = residual_m(&found) < MAX_RESIDUAL_SHARE * residual_m(before);
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
             let columns = CauseColumns::new(stream.found, stream.columns.chain);
             !seen
                 || !has_slow_residual(stream.found)
                 || !columns.has_unexplained_residual()
-                || !depends_on_configuration(stream.found)
+                || (explains_most && !depends_on_configuration(stream.found))
         };
         if !are_floating(run.streams) && !streams.iter().all(is_explained) {
             return None;

@@ -188,6 +188,8 @@ struct IntegratedRotation {
     first_from_last: Rotation,
     /// Derivative, about axes at the last sample, by a constant rate change.
     by_rate: Matrix3<f64>,
+    /// Derivative by each entry of the shape, with the sign of the rate's error.
+    by_scale_error: [Vec3; 6],
     /// At the first and last sample, rad/s.
     rates: [Vec3; 2],
     duration_s: f64,
@@ -251,6 +253,7 @@ impl GyroModel<'_> {
         let mut integrated = IntegratedRotation {
             first_from_last: Rotation::identity(),
             by_rate: Matrix3::zeros(),
+            by_scale_error: [Vec3::zeros(); 6],
             rates: [rate(first), rate(last)],
             duration_s: track.t_s[last] - track.t_s[first],
         };
@@ -264,6 +267,13 @@ impl GyroModel<'_> {
             integrated.first_from_last *= step;
             integrated.by_rate =
                 to_end * integrated.by_rate + middle_to_end.matrix() * unscale * dt;
+            let sums = integrated.by_scale_error.iter_mut();
+            for (sum, (row, column)) in sums.zip(Self::SCALE_ENTRIES) {
+                let mut unit = Matrix3::zeros();
+                unit[(row, column)] = 1.0;
+                unit[(column, row)] = 1.0;
+                *sum = to_end * *sum + middle_to_end * (unscale * (unit * omega)) * dt;
+            }
         }
         integrated
     }
@@ -439,13 +449,8 @@ impl Model for GyroModel<'_> {
                 rows.set(0, Self::MOUNT.start + axis, turned(before_slip * unit).into());
                 rows.set(0, Self::BIAS.start + axis, by_bias(axis).into());
             }
-            // By FK's mean rate: the gyro's shares its noise with the residual.
-            let rate = rotvec_from_rotation(&by_fk) * per_s;
-            for (column, (axis, other)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
-                let mut by_entry = Vec3::zeros();
-                by_entry[axis] = rate[other];
-                by_entry[other] = rate[axis];
-                rows.set(0, column, by_entry.into());
+            for (column, by_entry) in Self::SCALE_ERROR.zip(&integrated.by_scale_error) {
+                rows.set(0, column, (by_entry * per_s).into());
             }
             let middle_s = 0.5 * (from_s + to_s);
             self.effects.set_rows(
@@ -461,7 +466,7 @@ impl Model for GyroModel<'_> {
         Linearization { linear, t_s: stamps, world_from_imu: Vec::new() }
     }
 
-    /// FK noise in the columns of mount and scale, gyro noise in those of the latency.
+    /// FK noise in the columns of the mount, gyro noise in all others.
     fn design_noise(&self) -> DesignNoise {
         let track = self.link.stream.track;
         let gyro_noise = |axis: usize| {
@@ -493,9 +498,9 @@ impl Model for GyroModel<'_> {
                 squares[(Self::LATENCY, Self::LATENCY)] += by_ends;
                 squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
             }
-            for (column, (axis, other)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
-                let both = in_imu[(axis, axis)] + in_imu[(other, other)];
-                squares[(column, column)] += if axis == other { 0.5 * both } else { both };
+            let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
+            for (column, (row, other)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
+                squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
             }
         }
         let slip = slip.map(|slip| slip.columns.clone().collect());

@@ -273,7 +273,8 @@ impl OrientationModel<'_> {
         let turned: Vec<Vec3> = turned.collect();
         let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
         let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
-        match length.p_value < MOUNT_SIGNIFICANCE && effect_rad < MAX_EXPLAINED_RAD {
+        let is_hidden = length.norm.value > MAX_EXPLAINED_RAD && effect_rad < MAX_EXPLAINED_RAD;
+        match length.p_value < MOUNT_SIGNIFICANCE && is_hidden {
             true => Err(NotObservable::NotExcited),
             false => Ok(length),
         }
