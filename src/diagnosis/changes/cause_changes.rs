@@ -716,20 +716,22 @@ impl Removal {
         let Self { changes, patches, mut after } = self;
         let found = after.clone();
         let streams = Stream::all(run, &found);
-        /// Of the residual before, for changes beside correlated noise.
+        /// Of the residual before, for changes beside noise that is correlated in time.
         const MAX_RESIDUAL_SHARE: f64 = 0.5;
-        let explains_most = residual_m(&found) < MAX_RESIDUAL_SHARE * residual_m(before);
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
             let columns = CauseColumns::new(stream.found, stream.columns.chain);
-            !seen
-                || !has_slow_residual(stream.found)
-                || !columns.has_unexplained_residual()
-                || (explains_most && !depends_on_configuration(stream.found))
+            !seen || !has_slow_residual(stream.found) || !columns.has_unexplained_residual()
         };
-        if !are_floating(run.streams) && !streams.iter().all(is_explained) {
-            return None;
-        }
+        let is_noise = || {
+            residual_m(&found) < MAX_RESIDUAL_SHARE * residual_m(before)
+                && !streams.iter().any(|stream| depends_on_configuration(stream.found))
+        };
+        let confidence = match are_floating(run.streams) || streams.iter().all(is_explained) {
+            true => 0.95,
+            false if is_noise() => NOISE_CONFIDENCE,
+            false => return None,
+        };
         let equations = Equations::new(&streams, &changes, None);
         let Fit { dof, .. } = equations.fit(&streams);
         let covariances = equations.covariances();
@@ -744,7 +746,7 @@ impl Removal {
                     if translation_m.value < MODEL_ERROR_M && rotation_rad.value < MODEL_ERROR_RAD {
                         continue;
                     }
-                    let differs = |size: &Measured| size.value > size.half_width(0.95);
+                    let differs = |size: &Measured| size.value > size.half_width(confidence);
                     let is_significant = differs(translation_m) || differs(rotation_rad);
                     let stream = &mut after.streams[stream.index];
                     match frame {
@@ -768,7 +770,7 @@ impl Removal {
                         to: at_start + size.value,
                         size,
                     });
-                    size.value.abs() > size.half_width(0.95)
+                    size.value.abs() > size.half_width(confidence)
                 }
                 Subject::Zero { column } => {
                     let zero = report_zero(change, column, size, &changes, &found)?;
@@ -777,7 +779,7 @@ impl Removal {
                         zero: Some(zero),
                         factor: None,
                     });
-                    size.value.abs() > size.half_width(0.95)
+                    size.value.abs() > size.half_width(confidence)
                 }
             };
             if !is_significant {
@@ -804,10 +806,12 @@ impl Removal {
     }
 }
 
+/// Of decisions beside noise that is correlated in time.
+const NOISE_CONFIDENCE: f64 = 0.999;
+
 /// Whether the residual repeats with the configuration, unlike noise that is correlated in time.
 fn depends_on_configuration(found: &PoseDiagnosis) -> bool {
-    const CONFIDENCE: f64 = 0.999;
-    let exceeds = |excess: &Measured| excess.value > excess.half_width(CONFIDENCE);
+    let exceeds = |excess: &Measured| excess.value > excess.half_width(NOISE_CONFIDENCE);
     found.residual.as_ref().is_ok_and(|it| exceeds(&it.excess_m) || exceeds(&it.excess_rad))
 }
 
