@@ -104,6 +104,8 @@ mod tests {
         let [step] = steps.as_slice() else { panic!("{steps:?}") };
         assert!((step.at_s - 12.0).abs() < 0.1, "{step:?}");
         assert!((step.size_s.value - 0.008).abs() < 2e-4, "{step:?}");
-        assert_eq!(steps_of(|_| 0.005), []);
+        for drift_s_s in [0.0, 2e-4] {
+            assert_eq!(steps_of(|t_s| 0.005 + drift_s_s * t_s), []);
+        }
     }
 }

@@ -30,3 +30,34 @@ pub fn encoder_tick(
 pub fn is_whole(ticks: f64) -> bool {
     (ticks - ticks.round()).abs() < MAX_DEVIATION_TICKS
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK: f64 = 1.5e-3;
+
+    fn tick_of(values: &[f64]) -> Option<f64> {
+        encoder_tick(values.len(), |a, b| (values[a] - values[b]).abs(), 1e-6)
+    }
+
+    fn rounded(motion: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..400).map(|row| (motion(f64::from(row) * 0.01) / TICK).round() * TICK).collect()
+    }
+
+    #[test]
+    fn rounded_motion_shows_the_tick() {
+        let found = tick_of(&rounded(|t_s| 0.05 * t_s.sin())).expect("a tick");
+        assert!((found - TICK).abs() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn motion_without_rounding_and_a_joint_that_flickers_have_no_tick() {
+        let steady: Vec<f64> = (0..400).map(|row| f64::from(row) * 1e-3).collect();
+        assert_eq!(tick_of(&steady), None);
+        let sine: Vec<f64> = (0..400).map(|row| 0.05 * (f64::from(row) * 0.01).sin()).collect();
+        assert_eq!(tick_of(&sine), None);
+        let flicker: Vec<f64> = (0..400).map(|row| f64::from(row % 3 % 2) * TICK).collect();
+        assert_eq!(tick_of(&flicker), None);
+    }
+}
