@@ -33,7 +33,8 @@ impl NameMatch {
 }
 
 impl Robot {
-    /// [`match_joint_names`] for this robot.
+    /// Finds prefixes that map its movable joints to `logged` names: most joints first, then fewest unknown characters. Two
+    /// identical arms yield two matches.
     pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
         let moving = |joint: &&super::Joint| joint.kind.has_position() && joint.mimic.is_none();
         let own = self.joints().iter().filter(moving).map(|joint| joint.name.as_str());
