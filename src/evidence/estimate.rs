@@ -9,7 +9,7 @@ use crate::diagnosis::{
     diagnose_imu_with_latency_compensation, diagnose_run, fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
-use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
+use crate::run::{Arm, ImuSource, PoseSource, Run, common_diagnosis_count, realign_moving_bases};
 use crate::stream::{JointTrack, Orientations};
 
 /// DH table of a robot.
@@ -172,12 +172,15 @@ fn with_turn_by_imu(
         .filter_map(|imu| Some((imu, *found.imus[imu].mount_rad.as_ref().ok()?)))
         .filter(|(_, error)| error.p_value < MIN_SIGNIFICANCE)
         .collect();
-    let is_tool = |stream: &PoseDiagnosis| stream.tool.as_ref().is_ok_and(|tool| tool.is_chosen);
+    let is_wrong_tool = |(found, source): (&PoseDiagnosis, &PoseSource)| {
+        source.tip_named && found.tool.as_ref().is_ok_and(|tool| tool.is_chosen)
+    };
     let zero = found.arm.joints.offsets.get(*last?);
     let last_turn = match zero.is_some_and(|offset| offset.is_chosen) {
         _ if imus.is_empty() => return None,
         true => LastTurn::OfTool,
-        false if found.arm.streams.iter().any(is_tool) => LastTurn::OfJoint,
+        // Without a named tip, another tool is a normal setting.
+        false if found.arm.streams.iter().zip(&arm.poses).any(is_wrong_tool) => LastTurn::OfJoint,
         false => return None,
     };
     let mut arm = arm.clone();

@@ -61,11 +61,11 @@ pub(super) fn align(
         if observations.excluded != ExcludedComponents::default() {
             observations.excluded.fill(&mut decoded_pose, &correction.invert(&truth));
         }
-        let base = stream
-            .moving_frame
-            .and_then(|frame| frame.pose_at(observations.t_s[k] - frame.lag_s))
-            .map(|base_from_frame| base_from_frame.inverse());
-        aligned.frame_from_base.extend(base);
+        if let Some(frame) = stream.moving_frame {
+            let base_from_frame = frame.pose_at(observations.t_s[k] - frame.lag_s);
+            let Some(base_from_frame) = base_from_frame else { continue };
+            aligned.frame_from_base.push(base_from_frame.inverse());
+        }
         aligned.t_s.push(observations.t_s[k]);
         aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
         aligned.fk.push(fk);

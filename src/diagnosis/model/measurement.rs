@@ -32,7 +32,7 @@ pub(crate) const FLOOR_RAD: f64 = 1e-6;
 pub(crate) const MAX_EXPLAINED_M: f64 = 1e-3;
 pub(crate) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
 
-/// Slower bases rest, m/s or rad/s. The noise of odometry stays below.
+/// Slower bases rest, m/s or rad/s. Assumed, not calibrated.
 const MIN_BASE_SPEED: f64 = 0.01;
 
 /// Components of a stream without information, excluded from every residual.
