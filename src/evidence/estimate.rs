@@ -163,14 +163,14 @@ fn with_turn_by_imu(
     found: &ArmStreamsDiagnosis,
     max_lag_s: f64,
 ) -> Option<(Arm, ArmStreamsDiagnosis)> {
-    const MIN_SIGNIFICANCE: f64 = 1e-4;
+    const MAX_P_VALUE: f64 = 1e-4;
     /// Of the mount's error.
     const MAX_REMAINING_SHARE: f64 = 0.2;
     let last = arm.columns.last();
     let imus: Vec<(usize, MeasuredLength)> = (0..arm.imus.len())
         .filter(|&imu| arm.imus[imu].columns.last() == last)
         .filter_map(|imu| Some((imu, *found.imus[imu].mount_rad.as_ref().ok()?)))
-        .filter(|(_, error)| error.p_value < MIN_SIGNIFICANCE)
+        .filter(|(_, error)| error.p_value < MAX_P_VALUE)
         .collect();
     let is_wrong_tool = |(found, source): (&PoseDiagnosis, &PoseSource)| {
         source.tip_named && found.tool.as_ref().is_ok_and(|tool| tool.is_chosen)
