@@ -65,16 +65,48 @@ fn diagnosed(
     if !with_orientation {
         track.orientation.clear();
     }
+    diagnosed_track(&joints, &chain, &track, logged)
+}
+
+fn diagnosed_track(
+    joints: &JointTrack,
+    chain: &Chain,
+    track: &ImuTrack,
+    logged: Rotation,
+) -> ImuDiagnosis {
     let stream = ImuStream {
-        track: &track,
-        chain: &chain,
+        track,
+        chain,
         columns: &[0, 1, 2, 3, 4, 5],
         stamp_error_s: 0.0,
         link_from_imu: Some(Pose::from_parts(Vec3::zeros().into(), logged)),
         removed_ramp: None,
         fk_error_rad: 0.0,
     };
-    diagnose_imu(&joints, &stream, 1.0)
+    diagnose_imu(joints, &stream, 1.0)
+}
+
+/// Filtered gyros and vibrations have such noise. About the axes that do not turn, it is all that the gyro measures.
+#[test]
+fn noise_that_is_correlated_in_time_is_no_scale_error() {
+    /// Per sample.
+    const CORRELATION: f64 = 0.95;
+    for moving in [0, 3, 5] {
+        let mut rng = Pcg64::seed_from_u64(7);
+        let (joints, chain) = one_joint(moving, &mut rng);
+        let mount = rotation_from_rotvec(Vec3::new(0.3, -0.4, 1.2));
+        let mut track = imu(moving, mount, &mut rng);
+        let mut noise = Vec3::zeros();
+        for gyro in &mut track.gyro {
+            let innovation = Vec3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal));
+            noise = CORRELATION * noise
+                + GYRO_NOISE_RAD_S * (1.0 - CORRELATION.powi(2)).sqrt() * innovation;
+            *gyro += noise;
+        }
+        let found = diagnosed_track(&joints, &chain, &track, mount);
+        let bias = found.gyro_bias.expect("a bias");
+        assert!(bias.scale_error.is_none(), "joint {moving}: {:?}", bias.scale_error);
+    }
 }
 
 #[test]
