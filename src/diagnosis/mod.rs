@@ -522,14 +522,13 @@ impl PoseDiagnosis {
         self.encoding.as_ref().err().filter(|_| self.residual.is_err())
     }
 
-    /// Whether the position residual is a large share of the motion; then no finding is credible.
+    /// Whether the position residual is a large share of the motion, and too large for a calibration; then no finding is
+    /// credible.
     pub fn is_far_from_fk(&self) -> bool {
-        /// Smaller residuals are noise or calibration.
-        const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
         let fk: Vec<Vec3> =
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
         let excess_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
-        excess_m > MIN_LARGE_RESIDUAL_M
+        excess_m > selection::nominal_model::MAX_TIP_CHANGE_M
             && excess_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * frames::position_fit::spread(&fk)
     }
 
