@@ -9,6 +9,7 @@ mod zeros;
 use std::cell::LazyCell;
 
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
+use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::frames::position_fit::spread;
 use crate::joints::{
@@ -217,14 +218,19 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
-    /// With weak motion, a fault can look like mirrored axes or an inverse. These are rejected if the poses are near FK
-    /// as logged, or need no more joint zeros and frame errors and are explained or fit better.
+    /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
+    /// rejected if the poses are near FK as logged, or as few causes explain them.
     fn or_standard(
         self,
         position_encodings: &[PositionEncodingEstimate],
         diagnose: impl FnOnce(&[PositionEncodingEstimate]) -> Self,
     ) -> Self {
-        if !self.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_)))) {
+        let may_be_standard = |stream: &PoseDiagnosis| {
+            stream.is_inverted
+                || matches!(stream.axes, Ok(Some(_)))
+                || (is_misread(stream) && is_near_as_logged(stream))
+        };
+        if !self.streams.iter().any(may_be_standard) {
             return self;
         }
         let standard: Vec<PositionEncodingEstimate> =
@@ -234,8 +240,7 @@ impl EncodingResult {
             || standard.total_residual_m() <= self.total_residual_m();
         let is_sufficient = is_explained
             && standard.is_close_to_fk()
-            && standard.zero_count() <= self.zero_count()
-            && standard.frame_count() <= self.frame_count();
+            && standard.parameter_count() <= self.parameter_count();
         if standard.is_near_as_logged() || is_sufficient { standard } else { self }
     }
 
@@ -249,9 +254,14 @@ impl EncodingResult {
             .all(|stream| stream.encoding.is_ok() && stream.residual.as_ref().is_ok_and(is_near))
     }
 
-    fn frame_count(&self) -> usize {
+    /// Of joint zeros, frame errors and rotation conventions.
+    fn parameter_count(&self) -> usize {
+        const FRAME: usize = 6;
         let frames = self.streams.iter().flat_map(|stream| [&stream.reference, &stream.tool]);
-        frames.flatten().filter(|frame| frame.is_chosen).count()
+        let zeros = self.offsets.iter().filter(|offset| offset.is_chosen);
+        zeros.count()
+            + FRAME * frames.flatten().filter(|frame| frame.is_chosen).count()
+            + self.streams.iter().filter(|stream| is_misread(stream)).count()
     }
 
     /// The diagnosis, with refined scales and couplings in `encoding`. Those that are 1 and 0 are left out.
@@ -271,10 +281,6 @@ impl EncodingResult {
             encoding.couplings.clone_from(&couplings);
         }
         ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
-    }
-
-    fn zero_count(&self) -> usize {
-        self.offsets.iter().filter(|offset| offset.is_chosen).count()
     }
 
     /// Some stream is close to FK.
@@ -335,6 +341,17 @@ impl EncodingResult {
     }
 }
 
+/// Whether rotations are in another encoding than the logged one.
+fn is_misread(stream: &PoseDiagnosis) -> bool {
+    stream.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
+}
+
+/// Whether joints that are off by some degrees may explain the rotations as logged.
+fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
+    let as_logged_rad = stream.encoding.as_ref().ok().and_then(|encoding| encoding.as_logged_rad);
+    as_logged_rad.is_some_and(|rad| rad < MAX_ENCODING_RESIDUAL_RAD)
+}
+
 impl ArmDiagnosis {
     /// Whether other frames, encodings or latencies than those found might explain more.
     pub fn is_unexplained(&self) -> bool {
@@ -371,18 +388,18 @@ impl ArmDiagnosis {
                 latency.value.abs() > MAX_USUAL_LATENCY_S.max(3.0 * latency.std_error)
             })
         };
-        let is_misread = |stream: &PoseDiagnosis| {
+        let has_other_encoding = |stream: &PoseDiagnosis| {
             stream.is_inverted
                 || matches!(stream.length_unit, Ok(Some(_)))
                 || matches!(stream.axes, Ok(Some(_)))
-                || stream.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
+                || is_misread(stream)
         };
         let is_unsteady = |stream: &PoseDiagnosis| {
             stream.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
                 || stream.is_skew_chosen
         };
         let deviates = |stream: &&PoseDiagnosis| {
-            is_late(stream) || is_misread(stream) || is_unsteady(stream) || stream.has_changes()
+            is_late(stream) || has_other_encoding(stream) || is_unsteady(stream) || stream.has_changes()
         };
         self.streams.iter().filter(deviates).count()
     }

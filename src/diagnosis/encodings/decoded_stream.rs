@@ -114,6 +114,7 @@ pub(crate) fn decode_stream<'a>(
         fk: &turning,
         reference_known,
         are_quaternions: are_quaternions(track),
+        only_as_logged: placement.rotations_as_logged,
     };
     let unanchored = PositionInterpretation {
         metres,
@@ -241,6 +242,7 @@ fn in_detected_angle_unit<'a>(
             reference_free: true,
             reference_known,
             are_quaternions,
+            only_as_logged: false,
             after,
         };
         estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)

@@ -101,6 +101,7 @@ pub(crate) struct OrientationSamples<'a> {
     pub fk: &'a [Rotation],
     pub reference_known: bool,
     pub are_quaternions: bool,
+    pub only_as_logged: bool,
 }
 
 impl OrientationSamples<'_> {
@@ -150,6 +151,7 @@ impl OrientationSamples<'_> {
             reference_free: interpretation.reference.is_none(),
             reference_known: self.reference_known || interpretation.reference.is_some(),
             are_quaternions: self.are_quaternions,
+            only_as_logged: self.only_as_logged,
             after: interpretation.corrections(),
         }
     }

@@ -26,6 +26,8 @@ pub(crate) struct PositionEncodingEstimate {
     pub peaks: Vec<LagPeak>,
     /// Maximum tip speed, m/s.
     pub top_speed_m_s: f64,
+    /// Whether rotations are decoded as logged only.
+    pub rotations_as_logged: bool,
 }
 
 impl PositionEncodingEstimate {
@@ -45,6 +47,7 @@ impl PositionEncodingEstimate {
             constant: [false; 3],
             peaks,
             top_speed_m_s: arm.top_m_s(),
+            rotations_as_logged: false,
         };
         let lag_count = if follows_as_logged(joints, stream) { 0 } else { 2 };
         let lags = placement.peaks.iter().take(lag_count).map(|peak| peak.lag_s).chain([0.0]);
@@ -116,7 +119,7 @@ impl PositionEncodingEstimate {
         self.candidates.first().filter(|layout| layout.is_explained)
     }
 
-    /// Copy without mirrored, inverted or rescaled candidates.
+    /// Copy without mirrored, inverted or rescaled candidates, and with rotations as logged.
     pub fn standard_only(&self) -> Self {
         let layouts =
             self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
@@ -126,6 +129,7 @@ impl PositionEncodingEstimate {
             constant: self.constant,
             peaks: self.peaks.clone(),
             top_speed_m_s: self.top_speed_m_s,
+            rotations_as_logged: true,
         }
     }
 

@@ -82,6 +82,7 @@ pub(crate) fn decode_rotations(
         reference_free: true,
         reference_known,
         are_quaternions: true,
+        only_as_logged: false,
         after,
     };
     let fit = fit_known(&samples, intended.encoding)?;

@@ -50,6 +50,8 @@ pub(crate) struct RotationSamples<'a> {
     pub reference_known: bool,
     /// Whether components may be permuted.
     pub are_quaternions: bool,
+    /// Whether rotations are as logged.
+    pub only_as_logged: bool,
     /// From positions, applied after decoding.
     pub after: RotationCorrections,
 }
@@ -403,6 +405,7 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
         LoggedRotations::Numbers(_) => {
             Convention::all().iter().map(|&c| PoseEncoding::Numbers(c)).collect()
         }
+        LoggedRotations::Rotations(_) if samples.only_as_logged => vec![PoseEncoding::AsLogged],
         LoggedRotations::Rotations(_) => [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
             .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))
@@ -620,6 +623,7 @@ mod tests {
                 reference_free: true,
                 reference_known: false,
                 are_quaternions: true,
+                only_as_logged: false,
                 after: RotationCorrections::default(),
             };
             for encoding in candidate_encodings(&samples) {

@@ -194,6 +194,7 @@ impl Link<'_> {
             reference_free: true,
             reference_known: false,
             are_quaternions: true,
+            only_as_logged: false,
             after: RotationCorrections::default(),
         };
         estimate_encoding_with_gravity(&samples, &forces)
