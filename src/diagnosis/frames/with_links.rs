@@ -10,8 +10,8 @@ use crate::residuals::cause_columns::{CauseColumns, Frame};
 use crate::{FrameEstimate, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
-use ground::stats::MeasuredLength;
-use nalgebra::DMatrix;
+use ground::stats::{MeasuredLength, joint_p_value};
+use nalgebra::{DMatrix, DVector};
 
 /// Estimates the reference and the tool of `found` together with link deviations. `None` unless the frame is `free`.
 pub(crate) fn frames_with_links(
@@ -61,7 +61,8 @@ pub(crate) fn frames_with_links(
                 MeasuredLength::estimate(&twist[at..at + 3], &own, dof).norm
             };
             let (translation_m, rotation_rad) = (length(0), length(3));
-            Some(FrameEstimate { pose, translation_m, rotation_rad, ..before.clone() })
+            let p_value = joint_p_value(&DVector::from_column_slice(&twist), &own, dof);
+            Some(FrameEstimate { pose, translation_m, rotation_rad, p_value, ..before.clone() })
         };
         let [reference, tool] = Frame::BOTH;
         Some([(reference, free[0]), (tool, free[1])].map(estimate))
