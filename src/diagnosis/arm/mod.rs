@@ -399,7 +399,10 @@ impl ArmDiagnosis {
                 || stream.is_skew_chosen
         };
         let deviates = |stream: &&PoseDiagnosis| {
-            is_late(stream) || has_other_encoding(stream) || is_unsteady(stream) || stream.has_changes()
+            is_late(stream)
+                || has_other_encoding(stream)
+                || is_unsteady(stream)
+                || stream.has_changes()
         };
         self.streams.iter().filter(deviates).count()
     }
