@@ -13,8 +13,8 @@ use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::frames::position_fit::spread;
 use crate::joints::{
-    CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, likely_encodings,
-    other_encoding,
+    CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, has_change_within_run,
+    likely_encodings, other_encoding,
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
@@ -119,7 +119,11 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
     {
         (encoding, result) = (Ok(JointEncoding::default()), diagnose_as(&as_logged));
     }
-    if (encoding.is_err() || is_far_from_fk(&result)) && result.total_residual_m() > FLOOR_M {
+    let has_change = LazyCell::new(|| has_change_within_run(joints, streams, &metres, max_lag_s));
+    if (encoding.is_err() || is_far_from_fk(&result))
+        && result.total_residual_m() > FLOOR_M
+        && !*has_change
+    {
         // Other faults may hide the encoding.
         for likely in likely_encodings(joints, streams, &metres, max_lag_s) {
             let by_likely = diagnose_as(&likely.encoding);
@@ -148,7 +152,9 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
         let is_unread =
             matches!(result.streams[stream].encoding, Err(NotObservable::DoesNotFollow(_)));
         let last = stream_of_residual.columns.last().filter(|_| is_unread);
-        let other = other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual)
+        let other = (!*has_change)
+            .then(|| other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual))
+            .flatten()
             .or_else(|| last.map(|&last| JointEncoding::reversed(last, residual.m)));
         if let Some(other) = other {
             let by_other = diagnose_as(&other);

@@ -5,6 +5,7 @@ use crate::frames::constant_frames::{initial_frames, tool_frame};
 use crate::frames::position_fit::FkColumns;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
+use std::ops::Range;
 
 /// For a thinned and for a full view.
 const THINNED_FRAME_ITERATIONS: usize = 5;
@@ -78,6 +79,18 @@ impl InterpretedPoses<'_> {
             q: rows.flatten().copied().collect(),
             spans: self.spans.clone(),
             turns: THINNED_FRAME_ITERATIONS,
+            ..*self
+        }
+    }
+
+    /// Some consecutive samples.
+    pub fn range(&self, rows: Range<usize>) -> Self {
+        let dof = self.chain.dof();
+        Self {
+            xyz: self.xyz[rows.clone()].to_vec(),
+            rotation: self.rotation.as_ref().map(|all| all[rows.clone()].to_vec()),
+            q: self.q[rows.start * dof..rows.end * dof].to_vec(),
+            spans: self.spans.clone(),
             ..*self
         }
     }

@@ -66,11 +66,7 @@ pub(super) fn estimate_joint_encoding(
     scales: &[f64],
     max_lag_s: f64,
 ) -> EstimateResult<JointEncoding> {
-    let (stream, scale) = streams
-        .iter()
-        .zip(scales)
-        .max_by_key(|(stream, _)| (stream.columns.len(), stream.track.t_s.len()))
-        .ok_or(NotObservable::NoOverlap)?;
+    let (stream, scale) = most_informative(streams, scales).ok_or(NotObservable::NoOverlap)?;
     let chain = stream.chain;
     let noise_m = scale * position_noise(stream);
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
@@ -106,6 +102,9 @@ pub(super) fn estimate_joint_encoding(
     };
     let views: Vec<Vec<InterpretedPoses>> =
         at_lags.iter().map(|samples| views(joints, stream, samples)).collect();
+    if views.iter().flat_map(|views| views.first()).any(half_follows_as_logged) {
+        return Ok(JointEncoding::default());
+    }
     if let Some(found) = search_views(stream, &views, max_residual, &InterpretationKind::ALL) {
         return Ok(to_encoding(joints.dof, stream, &found, as_logged));
     }
@@ -114,6 +113,61 @@ pub(super) fn estimate_joint_encoding(
         return Err(NotObservable::NotExcited);
     }
     Ok(JointEncoding::default())
+}
+
+/// Whether half of the run follows FK as logged, and the whole run does not. No other encoding of the joints explains that.
+pub(super) fn has_change_within_run(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    scales: &[f64],
+    max_lag_s: f64,
+) -> bool {
+    most_informative(streams, scales).is_some_and(|(stream, scale)| {
+        latency_candidates(joints, stream, max_lag_s).into_iter().any(|lag_s| {
+            let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
+            views(joints, stream, &samples).first().is_some_and(half_follows_as_logged)
+        })
+    })
+}
+
+/// The stream with the most joints and samples, with its scale.
+fn most_informative<'a, 'b>(
+    streams: &'a [PoseStream<'b>],
+    scales: &'a [f64],
+) -> Option<(&'a PoseStream<'b>, &'a f64)> {
+    let both = streams.iter().zip(scales);
+    both.max_by_key(|(stream, _)| (stream.columns.len(), stream.track.t_s.len()))
+}
+
+/// Whether consecutive samples, half of all, follow FK as logged far better than all do, up to constant frames. Every
+/// joint must move in them about as far as in all: less motion fits other encodings, too.
+fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
+    const MIN_SAMPLES: usize = 20;
+    const MIN_MOTION_SHARE: f64 = 0.5;
+    let (len, dof) = (view.len(), view.chain.dof());
+    if len < 2 * MIN_SAMPLES {
+        return false;
+    }
+    let residual = |view: &InterpretedPoses| {
+        let fk = view.fk(&JointMap::as_logged(dof));
+        view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both))
+    };
+    let range = |view: &InterpretedPoses, joint: usize| {
+        let values = || view.q.iter().skip(joint).step_by(dof).copied();
+        values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+    };
+    let whole_m = residual(view).combined_m(view.lever_m);
+    [0, len / 4, len / 2].into_iter().any(|first| {
+        let half = view.range(first..first + len / 2);
+        let moves =
+            (0..dof).all(|joint| range(&half, joint) >= MIN_MOTION_SHARE * range(view, joint));
+        let is_within = |residual: ResidualSize| {
+            residual.m < MAX_LOGGED_RESIDUAL_SHARE_ROTATED * spread(&half.xyz)
+                && residual.rad.is_none_or(|rad| rad < MAX_LOGGED_RESIDUAL_SHARE_ROTATED)
+                && MIN_RESIDUAL_RATIO * residual.combined_m(view.lever_m) < whole_m
+        };
+        moves && is_within(residual(&half))
+    })
 }
 
 /// Encoding with a residual against `stream` far below `as_logged`. `None` if none is clearly best. Tries

@@ -16,9 +16,9 @@ use std::f64::consts::TAU;
 const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
 const ROUGH_SAMPLES: usize = 20;
-/// Rough residual over the largest accepted one. Beyond it, a proposal is neither accepted nor a competitor, whose residual
-/// is less than [`MIN_RESIDUAL_RATIO`] times the best one: fewer samples change a residual by less than the rest.
-const MAX_ROUGH_RATIO: f64 = 1.5 * MIN_RESIDUAL_RATIO;
+/// Rough residual over the largest accepted one, beyond which no proposal of a kind is refined: the remaining steps and
+/// samples change a residual by less.
+const MAX_ROUGH_RATIO: f64 = 3.0;
 /// Steps of the full refinement.
 const MAX_STEPS: usize = 25;
 /// More are preselected by a frame-free score on `SCREENING_SAMPLES` samples.
@@ -147,10 +147,13 @@ fn refine_and_select(
             (left.combined_m(view.lever_m), JointProposal { map, ..proposal })
         })
         .collect();
-    let limit =
-        ResidualSize { rad: max_residual.rad.filter(|_| view.rotation.is_some()), ..max_residual };
-    rough.retain(|(left, _)| *left <= MAX_ROUGH_RATIO * limit.combined_m(view.lever_m));
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let rad = max_residual.rad.filter(|_| view.rotation.is_some());
+    let max_rough_m =
+        MAX_ROUGH_RATIO * ResidualSize { rad, ..max_residual }.combined_m(view.lever_m);
+    if rough.first().is_none_or(|(left, _)| *left > max_rough_m) {
+        return SearchOutcome::Nothing;
+    }
     rough.truncate(REFINED_PROPOSALS);
     let polished: Vec<(f64, RefinedProposal)> = rough
         .into_par_iter()

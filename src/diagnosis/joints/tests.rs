@@ -1,3 +1,4 @@
+use super::half_follows_as_logged;
 use super::interpreted_poses::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
@@ -62,6 +63,20 @@ fn assert_near(find_map: &[f64], expected: &[f64], most: f64) {
 
 fn tcp() -> Pose {
     pose([0.02, -0.01, 0.15], Default::default())
+}
+
+#[test]
+fn half_a_run_as_logged_shows_a_change_and_not_an_encoding() {
+    let chain = ur5e();
+    let logged = view(&chain, tcp(), <[f64]>::to_vec);
+    assert!(!half_follows_as_logged(&logged));
+    let mut changed = logged.clone();
+    changed.xyz[40..].iter_mut().for_each(|xyz| xyz.z += 0.12);
+    assert!(half_follows_as_logged(&changed));
+    for factor in [0.98, 0.5, -1.0] {
+        let scaled = |q: &[f64]| vec![q[0], q[1], q[2] / factor, q[3], q[4], q[5]];
+        assert!(!half_follows_as_logged(&view(&chain, tcp(), scaled)));
+    }
 }
 
 #[test]
