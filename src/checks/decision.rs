@@ -153,8 +153,13 @@ pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
         NotObservable::AtRest => "the arm barely moves".to_owned(),
         NotObservable::NeverRests => "the arm never rests".to_owned(),
         NotObservable::Periodic(lags) => {
-            let lags: Vec<String> = lags.iter().map(|&lag| Unit::Second.show(lag)).collect();
-            format!("the motion is periodic, so several lags fit ({})", lags.join(", "))
+            const MAX_SHOWN: usize = 4;
+            let mut shown: Vec<String> =
+                lags.iter().take(MAX_SHOWN).map(|&lag| Unit::Second.show(lag)).collect();
+            if lags.len() > MAX_SHOWN {
+                shown.push(format!("{} more", lags.len() - MAX_SHOWN));
+            }
+            format!("the motion is periodic, so several lags fit ({})", shown.join(", "))
         }
         NotObservable::DoesNotFollow(peak) => {
             format!("does not follow the arm (peak correlation {})", rounded(*peak, 2))

@@ -9,8 +9,8 @@ mod zeros;
 use std::cell::LazyCell;
 
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
-use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
+use crate::encodings::rotation::MAX_RESIDUAL_RAD as MAX_ROTATION_RESIDUAL_RAD;
 use crate::frames::position_fit::spread;
 use crate::joints::{
     CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, has_change_within_run,
@@ -352,10 +352,10 @@ fn is_misread(stream: &PoseDiagnosis) -> bool {
     stream.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
 }
 
-/// Whether joints that are off by some degrees may explain the rotations as logged.
+/// Whether joints that are off may explain the rotations as logged.
 fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
     let as_logged_rad = stream.encoding.as_ref().ok().and_then(|encoding| encoding.as_logged_rad);
-    as_logged_rad.is_some_and(|rad| rad < MAX_ENCODING_RESIDUAL_RAD)
+    as_logged_rad.is_some_and(|rad| rad < MAX_ROTATION_RESIDUAL_RAD)
 }
 
 impl ArmDiagnosis {

@@ -27,7 +27,7 @@ const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
 /// 0.02° inverted, at a tool that points down, are those of a healthy arm.
 const MAX_LINK_RESIDUAL_RATIO: f64 = 20.0;
 /// Above this, no candidate is accepted (20°).
-const MAX_RESIDUAL_RAD: f64 = 0.35;
+pub(crate) const MAX_RESIDUAL_RAD: f64 = 0.35;
 
 const MIN_SCREENING_SAMPLES: usize = 16;
 const SCREENING_ERROR_FACTOR: f64 = 1.5;

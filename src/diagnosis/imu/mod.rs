@@ -256,13 +256,15 @@ impl Clock {
 
 /// Lags with nearly equal correlations, as in repetitive motion.
 fn ambiguous_lags(peaks: &[LagPeak]) -> Option<Vec<f64>> {
-    let best = peaks.first()?;
-    let equal: Vec<f64> = peaks
-        .iter()
-        .take_while(|peak| 1.0 - peak.correlation < 1.2 * (1.0 - best.correlation) + 1e-4)
-        .map(|peak| peak.lag_s)
-        .collect();
-    (equal.len() > 1).then_some(equal)
+    let equal = &peaks[..equal_peaks(peaks)];
+    (equal.len() > 1).then(|| equal.iter().map(|peak| peak.lag_s).collect())
+}
+
+/// Number of peaks with nearly the highest correlation, which come first.
+fn equal_peaks(peaks: &[LagPeak]) -> usize {
+    let best = peaks.iter().map(|peak| peak.correlation).fold(f64::MIN, f64::max);
+    let is_equal = |peak: &&LagPeak| 1.0 - peak.correlation < 1.2 * (1.0 - best) + 1e-4;
+    peaks.iter().take_while(is_equal).count()
 }
 
 struct Link<'a> {
@@ -396,19 +398,24 @@ impl<'a> Link<'a> {
         Some(link_state)
     }
 
-    /// Lags at which the IMU's speed correlates with the link's.
+    /// Lags at which the IMU's speed correlates with the link's, most likely first. Of nearly equal ones, the shortest is
+    /// the likeliest.
     fn peaks(&self, max_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
         let link_speed = ArmSpeeds::from_joints(self.joints, chain, columns).angular;
         let gyro = lag_peaks(&link_speed, &norm_series(&track.t_s, &track.gyro), max_lag_s);
-        if track.orientation.is_empty() {
-            return gyro;
-        }
-        let by_orientation =
-            lag_peaks(&link_speed, &angular_speed(&track.t_s, &track.orientation), max_lag_s);
+        let by_orientation = match track.orientation.is_empty() {
+            true => Vec::new(),
+            false => {
+                lag_peaks(&link_speed, &angular_speed(&track.t_s, &track.orientation), max_lag_s)
+            }
+        };
         let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-        if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
+        let mut peaks = if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro };
+        let equal = equal_peaks(&peaks);
+        peaks[..equal].sort_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()));
+        peaks
     }
 
     /// Rms rotation of the link by FK about its mean in each block of the run.

@@ -386,19 +386,23 @@ fn to_encoding(
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
     /// Relative.
     const SCALE_PRECISION: f64 = 1e-3;
-    let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < SCALE_PRECISION;
+    let is_degree = |factor: f64| (factor / degree - 1.0).abs() < SCALE_PRECISION;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
-    let all_in_degrees = turning.len() > 1 && turning.iter().all(|&joint| in_degrees(joint));
+    // Also if some are reversed.
+    let all_in_degrees =
+        turning.len() > 1 && turning.iter().all(|&joint| is_degree(map.factor[joint].abs()));
     let unit_errors = (0..map.from.len()).filter_map(|joint| {
-        let unit = match map.factor[joint] {
+        let is_common = all_in_degrees && !slides(joint);
+        let factor = map.factor[joint] / if is_common { degree } else { 1.0 };
+        let unit = match factor {
             1.0 => return None,
-            _ if !slides(joint) && in_degrees(joint) && all_in_degrees => return None,
-            _ if !slides(joint) && in_degrees(joint) => JointUnit::Degrees,
+            _ if is_common && (factor - 1.0).abs() < SCALE_PRECISION => return None,
+            _ if !slides(joint) && is_degree(factor) => JointUnit::Degrees,
             1e-3 if slides(joint) => JointUnit::Millimetres,
             1e-2 if slides(joint) => JointUnit::Centimetres,
             _ => JointUnit::Scaled,
         };
-        let factor = if unit == JointUnit::Degrees { degree } else { map.factor[joint] };
+        let factor = if unit == JointUnit::Degrees { degree } else { factor };
         Some(JointUnitError { column: columns[joint], unit, factor })
     });
     let mut zeros = vec![0.0; dof];

@@ -67,9 +67,12 @@ impl CompensatedRun {
                     radians
                 }
             };
-            changes = detect_changes(&corrected);
-            if changes.iter().any(Option::is_some) {
-                diagnosis = diagnose_without(&changes);
+            let by_corrected = detect_changes(&corrected);
+            if by_corrected.iter().any(Option::is_some) {
+                let changed = diagnose_without(&by_corrected);
+                if residual_m(&changed) < residual_m(&diagnosis) {
+                    (changes, diagnosis) = (by_corrected, changed);
+                }
             }
         }
         for _ in 0..MAX_REFINEMENTS {
