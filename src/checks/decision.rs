@@ -88,21 +88,25 @@ impl Decision {
     }
 }
 
-/// Decides on a frame error. Fails if a norm reaches its threshold and the six components are jointly
-/// significant.
+/// Decides on a frame error. Fails if a norm reaches its threshold, its 95 % interval excludes zero, and the six components
+/// are jointly significant.
 pub fn decide_frame(
     frame: &FrameEstimate,
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Decision {
     let (length, angle) = (&frame.translation_m, &frame.rotation_rad);
-    let by_length = thresholds.length.severity(length.value);
-    let severity = by_length.max(thresholds.angle.severity(angle.value));
+    let norms = [(length, &thresholds.length), (angle, &thresholds.angle)];
+    let is_beyond = norms.iter().any(|(norm, threshold)| threshold.severity(norm.value).is_some());
+    let significant = norms
+        .iter()
+        .filter(|(norm, threshold)| norm.value > threshold.unit.half_width(norm, PASS_CONFIDENCE));
+    let severity = significant.filter_map(|(norm, threshold)| threshold.severity(norm.value)).max();
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
     match severity {
         Some(severity) if frame.p_value <= chance => Decision::Fail(severity),
-        Some(_) => Decision::Undecided("not significantly different from zero".to_owned()),
-        None => decide_both(length, angle, thresholds, subjects),
+        _ if is_beyond => Decision::Undecided("not significantly different from zero".to_owned()),
+        _ => decide_both(length, angle, thresholds, subjects),
     }
 }
 

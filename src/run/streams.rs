@@ -9,7 +9,7 @@ use crate::time::{Clock, Stamp};
 
 use super::clock::{self, ClockSource, StreamClock};
 use super::role::{Role, documented_convention, role_by_content, role_by_name, split_words};
-use super::rounded::RoundedStamps;
+use super::rounded::{CoarseClock, RoundedStamps};
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
 use super::tf_tree::strip_slash;
@@ -336,6 +336,8 @@ pub(super) struct StreamClocks {
     index_of_part: Vec<Vec<usize>>,
     /// Parts with rounded stamps.
     pub rounded: Vec<RoundedStamps>,
+    /// Clocks of the parts with rounded stamps, restored or not, per stream and part.
+    pub coarse: HashMap<(usize, usize), CoarseClock>,
 }
 
 impl StreamClocks {
@@ -375,6 +377,7 @@ impl StreamClocks {
             all: clock::select_clocks(&sources, wanted, max_latency_s),
             index_of_part: of,
             rounded: Vec::new(),
+            coarse: HashMap::new(),
         }
     }
 
@@ -438,14 +441,26 @@ impl StreamClocks {
             let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
             alignment.map_or(0.0, |alignment| alignment.spread_s)
         };
-        // Standard deviation of a uniform error. Rows of one table share theirs.
-        let rounding = |(stream, piece)| {
-            self.rounded_stamps(stream, piece).map_or(0.0, |own| own.resolution_s / 3_f64.sqrt())
+        // Standard deviation of a uniform error. Rows of one table share theirs. A clock may round to the nearest tick or
+        // down, so the offset is unknown by half a tick.
+        let rounding = |part: (usize, usize)| {
+            let (resolution_s, tick_s) = match self.rounded_stamps(part.0, part.1) {
+                Some(own) => (own.resolution_s, own.tick_s),
+                None => (0.0, self.coarse.get(&part).map_or(0.0, |coarse| coarse.tick_s)),
+            };
+            (resolution_s + 0.5 * tick_s) / 3_f64.sqrt()
         };
-        let rounding_s = match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
-            (Some(one), Some(other)) if one.is_restored_as(other) => 0.0,
-            _ => f64::hypot(rounding(a), rounding(b)),
-        };
+        let are_restored_alike = self
+            .rounded_stamps(a.0, a.1)
+            .zip(self.rounded_stamps(b.0, b.1))
+            .is_some_and(|(one, other)| one.is_restored_as(other));
+        let have_same_stamps = are_restored_alike
+            || self
+                .coarse
+                .get(&a)
+                .zip(self.coarse.get(&b))
+                .is_some_and(|(one, other)| one.stamps == other.stamps);
+        let rounding_s = if have_same_stamps { 0.0 } else { f64::hypot(rounding(a), rounding(b)) };
         f64::hypot(spread(a), spread(b)).hypot(rounding_s)
     }
 

@@ -1,5 +1,7 @@
 //! Detects stamps that are multiples of a tick, such as 15.6 ms on some Windows machines.
 
+use crate::time::NANOS_PER_SECOND;
+
 /// Minimum tick, s.
 const MIN_TICK_S: f64 = 2e-3;
 /// Minimum share of intervals of whole ticks.
@@ -102,6 +104,31 @@ impl TickGrid {
     }
 }
 
+/// Tick of a clock that rounds ascending stamps, s: the greatest common divisor of the intervals, if less than the shortest
+/// one. 0 without one, or if it is shorter than `min_s`.
+pub(super) fn rounding_tick_s(raw: &[i64], min_s: f64) -> f64 {
+    let min = (min_s * NANOS_PER_SECOND as f64) as i64;
+    let (mut tick, mut shortest) = (0_i64, i64::MAX);
+    for pair in raw.windows(2) {
+        let interval = pair[1].saturating_sub(pair[0]).saturating_abs();
+        if interval > 0 {
+            shortest = shortest.min(interval);
+            tick = greatest_common_divisor(tick, interval);
+            if tick < min {
+                return 0.0;
+            }
+        }
+    }
+    if tick < shortest { tick as f64 / NANOS_PER_SECOND as f64 } else { 0.0 }
+}
+
+fn greatest_common_divisor(mut a: i64, mut b: i64) -> i64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,5 +176,19 @@ mod tests {
         let (_, received) = stamps(0.02, 0.02, 0.0);
         assert_eq!(TickGrid::detect(&received), None);
         assert_eq!(TickGrid::detect(&[0.0, 0.01]), None);
+    }
+
+    #[test]
+    fn only_uneven_intervals_show_the_tick_of_a_clock() {
+        let stamps = |period_ns: f64, tick_ns: i64| -> Vec<i64> {
+            let at = |row: i32| (f64::from(row) * period_ns) as i64 / tick_ns * tick_ns;
+            (0..500).map(at).collect()
+        };
+        let tick_s = |period_ns, tick_ns| rounding_tick_s(&stamps(period_ns, tick_ns), 1e-4);
+        assert_eq!(tick_s(8.333e6, 1_000_000), 1e-3);
+        assert_eq!(tick_s(33.333e6, 10_000_000), 1e-2);
+        for (period_ns, tick_ns) in [(8e6, 1_000_000), (8.333e6, 1), (8.333e6, 10_000)] {
+            assert_eq!(tick_s(period_ns, tick_ns), 0.0, "{period_ns} {tick_ns}");
+        }
     }
 }
