@@ -25,6 +25,7 @@
 //! 4. `arm::fit` fits each stream alone from several starts (`frames`), then all together from the best.
 //!    `selection::model_selection` selects causes, `selection::tool_preference` replaces a moved reference
 //!    by a tool if both fit.
+//!    Joint zeros are preferred to mirrored axes, an inverse or another rotation convention that explain no more.
 //! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
 //!    explain.
 //!    `selection::held_out` drops causes that do not predict held-out samples better.

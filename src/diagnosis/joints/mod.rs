@@ -66,7 +66,8 @@ pub(super) fn estimate_joint_encoding(
     scales: &[f64],
     max_lag_s: f64,
 ) -> EstimateResult<JointEncoding> {
-    let (stream, scale) = most_informative(streams, scales).ok_or(NotObservable::NoOverlap)?;
+    let (stream, scale) =
+        most_informative(streams, scales).ok_or(NotObservable::RestsOn("a pose of the tool"))?;
     let chain = stream.chain;
     let noise_m = scale * position_noise(stream);
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
