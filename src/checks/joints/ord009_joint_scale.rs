@@ -133,9 +133,9 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-/// In rad per logged unit, if the numbers were interpreted as degrees.
+/// In rad per logged unit, if the numbers were interpreted as degrees. A reversed joint's are degrees.
 fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
-    match arm.is_in_degrees_by_magnitude {
+    match arm.is_in_degrees_by_magnitude && !is_same_factor(factor.value, -1.0) {
         true => factor.scaled(1f64.to_radians()),
         false => factor,
     }

@@ -9,6 +9,7 @@ mod zeros;
 use std::cell::LazyCell;
 
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
+use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::encodings::rotation::MAX_RESIDUAL_RAD as MAX_ROTATION_RESIDUAL_RAD;
 use crate::frames::position_fit::spread;
@@ -149,8 +150,13 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
             |latency| latency.value,
         );
         // Rotations in an unknown convention show whether the last joint is reversed, positions do not.
-        let is_unread =
-            matches!(result.streams[stream].encoding, Err(NotObservable::DoesNotFollow(_)));
+        let is_unread = match &result.streams[stream].encoding {
+            Ok(encoding) => {
+                matches!(encoding.best, PoseEncoding::Numbers(_))
+                    && encoding.best_rad > MAX_ENCODING_RESIDUAL_RAD
+            }
+            Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
+        };
         let last = stream_of_residual.columns.last().filter(|_| is_unread);
         let other = (!*has_change)
             .then(|| other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual))
@@ -234,7 +240,7 @@ impl EncodingResult {
         let may_be_standard = |stream: &PoseDiagnosis| {
             stream.is_inverted
                 || matches!(stream.axes, Ok(Some(_)))
-                || (is_misread(stream) && is_near_as_logged(stream))
+                || (is_misread(stream) && may_be_as_logged(stream))
         };
         if !self.streams.iter().any(may_be_standard) {
             return self;
@@ -353,7 +359,7 @@ fn is_misread(stream: &PoseDiagnosis) -> bool {
 }
 
 /// Whether joints that are off may explain the rotations as logged.
-fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
+fn may_be_as_logged(stream: &PoseDiagnosis) -> bool {
     let as_logged_rad = stream.encoding.as_ref().ok().and_then(|encoding| encoding.as_logged_rad);
     as_logged_rad.is_some_and(|rad| rad < MAX_ROTATION_RESIDUAL_RAD)
 }
@@ -526,9 +532,12 @@ pub fn follows_with_other_encoding(
     stream: &PoseStream,
     max_lag_s: f64,
 ) -> bool {
-    let metres = metres_by_size(joints, stream);
-    estimate_joint_encoding(joints, &[*stream], &[metres], max_lag_s)
-        .is_ok_and(|encoding| !encoding.is_as_logged())
+    let mut metres = vec![metres_by_size(joints, stream), metres_by_reach(stream)];
+    metres.dedup();
+    metres.into_iter().any(|metres| {
+        estimate_joint_encoding(joints, &[*stream], &[metres], max_lag_s)
+            .is_ok_and(|encoding| !encoding.is_as_logged())
+    })
 }
 
 /// Candidate lags from speeds, best first.
