@@ -125,7 +125,10 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     if by_gain.as_ref().is_some_and(is_explained) {
         return gain_as_compliance.or(by_gain);
     }
-    let by_steps = diagnose_with_cause_changes(run, constant);
+    // Steps may be larger than a small motion, but steps also make the residual of another encoding smaller.
+    let is_far = constant.streams.iter().any(PoseDiagnosis::is_far_from_fk);
+    let by_steps =
+        diagnose_with_cause_changes(run, constant).filter(|it| !is_far || is_explained(it));
     let by_compliance =
         gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);

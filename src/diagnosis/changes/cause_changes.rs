@@ -109,10 +109,9 @@ struct Stream<'a> {
 impl<'a> Stream<'a> {
     fn all(run: &ArmRun<'a>, diagnosis: &'a ArmDiagnosis) -> Vec<Self> {
         let stream = |(index, found): (usize, &'a PoseDiagnosis)| {
-            let follows = found.residual.is_ok() && !found.is_far_from_fk();
+            found.residual.as_ref().ok()?;
             let stream = run.streams[index];
-            let columns =
-                follows.then(|| CauseColumns::new(found, stream.chain).with_free_zeros())?;
+            let columns = CauseColumns::new(found, stream.chain).with_free_zeros();
             Some(Self { columns, found, index, joints: stream.columns })
         };
         diagnosis.streams.iter().enumerate().filter_map(stream).collect()
