@@ -250,7 +250,11 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 }
 
 impl Assembly<'_> {
-    fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize) -> f64 {
+    /// Standard error between a part and the joint states, of which its stamps may be copies.
+    fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize, are_copied: bool) -> f64 {
+        if are_copied {
+            return 0.0;
+        }
         let joints = arm.joint_sources.first().map(|joint| joint.stream);
         let trajectory = || arm.trajectory.as_ref().map(|trajectory| trajectory.stream);
         let joints = joints.or_else(trajectory).unwrap_or(stream);

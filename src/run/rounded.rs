@@ -6,7 +6,6 @@
 //! ranges", 1981).
 
 use std::collections::HashMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
 
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
@@ -80,30 +79,12 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
     found
 }
 
-/// Clock of a part with rounded stamps.
-#[derive(Clone, Copy)]
-pub(super) struct CoarseClock {
-    pub tick_s: f64,
-    /// Equal for parts with the same stamps.
-    pub stamps: u64,
-}
-
-/// Clocks of the parts with rounded stamps, per stream and part.
-pub(super) fn coarse_clocks(
-    streams: &[Stream],
-    clock: Clock,
-) -> HashMap<(usize, usize), CoarseClock> {
-    let of_part = |raw: &[i64]| {
-        let tick_s = rounding_tick_s(raw, MIN_TICK_S);
-        let mut hasher = DefaultHasher::new();
-        (tick_s > 0.0).then(|| {
-            raw.hash(&mut hasher);
-            CoarseClock { tick_s, stamps: hasher.finish() }
-        })
-    };
+/// Tick of the clock of each part with rounded stamps, s, per stream and part.
+pub(super) fn clock_ticks_s(streams: &[Stream], clock: Clock) -> HashMap<(usize, usize), f64> {
     let of_stream = |(index, stream): (usize, &Stream)| {
         let parts = parts_of_use(stream, clock).into_iter();
-        parts.filter_map(|(piece, raw)| Some(((index, piece), of_part(raw)?))).collect::<Vec<_>>()
+        let ticks = parts.map(|(piece, raw)| ((index, piece), rounding_tick_s(raw, MIN_TICK_S)));
+        ticks.filter(|(_, tick_s)| *tick_s > 0.0).collect::<Vec<_>>()
     };
     streams.iter().enumerate().flat_map(of_stream).collect()
 }

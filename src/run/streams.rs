@@ -9,7 +9,7 @@ use crate::time::{Clock, Stamp};
 
 use super::clock::{self, ClockSource, StreamClock};
 use super::role::{Role, documented_convention, role_by_content, role_by_name, split_words};
-use super::rounded::{CoarseClock, RoundedStamps};
+use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
 use super::tf_tree::strip_slash;
@@ -336,8 +336,8 @@ pub(super) struct StreamClocks {
     index_of_part: Vec<Vec<usize>>,
     /// Parts with rounded stamps.
     pub rounded: Vec<RoundedStamps>,
-    /// Clocks of the parts with rounded stamps, restored or not, per stream and part.
-    pub coarse: HashMap<(usize, usize), CoarseClock>,
+    /// Ticks of the clocks of parts with rounded stamps, restored or not, s, per stream and part.
+    pub ticks_s: HashMap<(usize, usize), f64>,
 }
 
 impl StreamClocks {
@@ -377,7 +377,7 @@ impl StreamClocks {
             all: clock::select_clocks(&sources, wanted, max_latency_s),
             index_of_part: of,
             rounded: Vec::new(),
-            coarse: HashMap::new(),
+            ticks_s: HashMap::new(),
         }
     }
 
@@ -446,21 +446,14 @@ impl StreamClocks {
         let rounding = |part: (usize, usize)| {
             let (resolution_s, tick_s) = match self.rounded_stamps(part.0, part.1) {
                 Some(own) => (own.resolution_s, own.tick_s),
-                None => (0.0, self.coarse.get(&part).map_or(0.0, |coarse| coarse.tick_s)),
+                None => (0.0, self.ticks_s.get(&part).copied().unwrap_or(0.0)),
             };
             (resolution_s + 0.5 * tick_s) / 3_f64.sqrt()
         };
-        let are_restored_alike = self
-            .rounded_stamps(a.0, a.1)
-            .zip(self.rounded_stamps(b.0, b.1))
-            .is_some_and(|(one, other)| one.is_restored_as(other));
-        let have_same_stamps = are_restored_alike
-            || self
-                .coarse
-                .get(&a)
-                .zip(self.coarse.get(&b))
-                .is_some_and(|(one, other)| one.stamps == other.stamps);
-        let rounding_s = if have_same_stamps { 0.0 } else { f64::hypot(rounding(a), rounding(b)) };
+        let rounding_s = match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
+            (Some(one), Some(other)) if one.is_restored_as(other) => 0.0,
+            _ => f64::hypot(rounding(a), rounding(b)),
+        };
         f64::hypot(spread(a), spread(b)).hypot(rounding_s)
     }
 

@@ -17,10 +17,10 @@ pub(super) struct Timing {
 impl Timing {
     /// Selects clocks, measures rates, and checks rows.
     pub fn new(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
-        let coarse = rounded::coarse_clocks(streams, wanted);
+        let ticks_s = rounded::clock_ticks_s(streams, wanted);
         let rounded = rounded::restore_stamps(streams, wanted);
         let mut clocks = StreamClocks::select(streams, wanted, max_latency_s);
-        (clocks.rounded, clocks.coarse) = (rounded, coarse);
+        (clocks.rounded, clocks.ticks_s) = (rounded, ticks_s);
         clocks.measure(streams);
         let sample_filter = SampleFilter::new(streams, &clocks);
         let excerpts = Excerpts::select(streams, &clocks, &sample_filter);

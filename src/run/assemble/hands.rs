@@ -27,7 +27,7 @@ impl Assembly<'_> {
                 let arm = &self.arms[owner];
                 let (kind, [hand_from_camera, base_from_camera]) =
                     HandKind::from_arm(owner, arm, camera)?;
-                let stamp_error_s = self.stamp_error_s(arm, index, 0);
+                let stamp_error_s = self.stamp_error_s(arm, index, 0, false);
                 vec![HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s }]
             }
             None => self.hands_without_arm(index),

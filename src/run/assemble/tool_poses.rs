@@ -480,6 +480,7 @@ impl Assembly<'_> {
             let what = "the transforms of its frame do not cover its time range".to_owned();
             return Err(SourceError::Kinematics(what));
         }
+        let stamps_copied = poses::are_copied_stamps(&stamps, &arm.joint_stamps);
         Ok(PoseSource {
             stream: index,
             chain,
@@ -487,8 +488,8 @@ impl Assembly<'_> {
             track,
             moving_base,
             reference_known: !matches!(stream_frames.frame, FrameKind::Unknown | FrameKind::Tool),
-            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
-            stamp_error_s: self.stamp_error_s(arm, index, 0),
+            stamps_copied,
+            stamp_error_s: self.stamp_error_s(arm, index, 0, stamps_copied),
             tip_named: stream_frames.tip_named,
             last_turn: LastTurn::Unknown,
         })
@@ -559,14 +560,15 @@ impl Assembly<'_> {
         let Some((chain, columns)) = arm.chain_between(base, moving_base) else { return };
         let rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
         let StampedTrack { track, stamps } = poses::from_imu(imu, &rows, self.origin);
+        let stamps_copied = poses::are_copied_stamps(&stamps, &arm.joint_stamps);
         let source = ImuSource {
             stream: index,
             chain,
             columns,
             track,
             link_from_imu,
-            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
-            stamp_error_s: self.stamp_error_s(arm, index, 0),
+            stamps_copied,
+            stamp_error_s: self.stamp_error_s(arm, index, 0, stamps_copied),
         };
         let reason = format!("inertial measurements; {why}");
         let [reference, link] = [base, moving_base].map(|link| arm.frame_of(link));

@@ -153,14 +153,15 @@ impl Assembly<'_> {
             moving.and_then(|edge| self.piece_of(arm, edge)).unwrap_or((first, 0));
         let StampedTrack { track, stamps } = poses::from_samples(samples, self.origin);
         let (chain, columns) = (arm.chain.clone(), arm.columns.clone());
+        let stamps_copied = poses::are_copied_stamps(&stamps, &arm.joint_stamps);
         let source = PoseSource {
             stream,
             chain,
             columns,
             track,
             reference_known: true,
-            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
-            stamp_error_s: self.stamp_error_s(arm, stream, piece),
+            stamps_copied,
+            stamp_error_s: self.stamp_error_s(arm, stream, piece, stamps_copied),
             tip_named: arm.tip_named,
             moving_base: None,
             last_turn: LastTurn::Unknown,
