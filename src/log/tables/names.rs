@@ -244,6 +244,7 @@ const ROTATION_WORDS: &[&str] = &[
     "rotations",
     "attitude",
     "drehung",
+    "winkel",
     "orientierung",
     "euler",
     "rpy",
