@@ -3,9 +3,9 @@ use super::interpreted_poses::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, R
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
 use super::slow_samples::{JOINT_ENCODING_SAMPLES, slow_simultaneous_samples};
-use crate::PoseStream;
 use crate::frames::position_fit::spread;
 use crate::test_random::Lcg;
+use crate::{PoseStream, diagnose_arm, test_motion};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
@@ -240,4 +240,28 @@ fn samples_of_an_arm_that_dwells_show_other_places() {
     let samples = slow_simultaneous_samples(&joints, &stream, 1.0, 0.0);
     assert!(samples.xyz.len() >= JOINT_ENCODING_SAMPLES / 2, "{} samples", samples.xyz.len());
     assert!(spread(&samples.xyz) > 0.2 * spread(&track.xyz), "{} m", spread(&samples.xyz));
+}
+
+#[test]
+fn a_joint_reversed_among_degrees_is_multiplied_by_minus_one() {
+    const REVERSED: usize = 3;
+    let (joints, chain) = test_motion::arm();
+    let poses: Vec<Pose> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
+    let track = PoseTrack {
+        t_s: joints.t_s.clone(),
+        xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
+        orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
+        declared: None,
+    };
+    let mut logged = joints.clone();
+    for values in [&mut logged.q, &mut logged.qd] {
+        values.iter_mut().for_each(|value| *value = value.to_degrees());
+        values.iter_mut().skip(REVERSED).step_by(6).for_each(|value| *value = -*value);
+    }
+    let found = diagnose_arm(&logged, &[test_motion::tip_stream(&track, &chain)], 1.0);
+    let encoding = found.joints.encoding.expect("an encoding");
+    assert!(encoding.degrees.is_some());
+    let [reversed] = encoding.unit_errors.as_slice() else { panic!("{:?}", encoding.unit_errors) };
+    assert_eq!(reversed.column, REVERSED);
+    assert!((reversed.factor + 1.0).abs() < 1e-3, "{reversed:?}");
 }
