@@ -231,18 +231,18 @@ struct EncodingResult {
 
 impl EncodingResult {
     /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
-    /// rejected if the poses are near FK as logged, or as few causes explain them.
+    /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
     fn or_standard(
         self,
         position_encodings: &[PositionEncodingEstimate],
         diagnose: impl FnOnce(&[PositionEncodingEstimate]) -> Self,
     ) -> Self {
-        let may_be_standard = |stream: &PoseDiagnosis| {
-            stream.is_inverted
-                || matches!(stream.axes, Ok(Some(_)))
-                || (is_misread(stream) && may_be_as_logged(stream))
-        };
-        if !self.streams.iter().any(may_be_standard) {
+        let is_otherwise_placed =
+            |stream: &PoseDiagnosis| stream.is_inverted || matches!(stream.axes, Ok(Some(_)));
+        let are_otherwise_placed = self.streams.iter().any(is_otherwise_placed);
+        let is_misread_slightly =
+            |stream: &PoseDiagnosis| is_misread(stream) && may_be_as_logged(stream);
+        if !are_otherwise_placed && !self.streams.iter().any(is_misread_slightly) {
             return self;
         }
         let standard: Vec<PositionEncodingEstimate> =
@@ -253,7 +253,9 @@ impl EncodingResult {
         let is_sufficient = is_explained
             && standard.is_close_to_fk()
             && standard.parameter_count() <= self.parameter_count();
-        if standard.is_near_as_logged() || is_sufficient { standard } else { self }
+        // A small misreading is near FK, too.
+        let is_near = are_otherwise_placed && standard.is_near_as_logged();
+        if is_near || is_sufficient { standard } else { self }
     }
 
     /// All streams differ from FK by no more than calibrations do, without any correction.
