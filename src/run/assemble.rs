@@ -250,7 +250,7 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 }
 
 impl Assembly<'_> {
-    /// Standard error between a part and the joint states, of which its stamps may be copies.
+    /// Standard error of a part's stamps against the joint states, s. Copied stamps have none.
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize, are_copied: bool) -> f64 {
         if are_copied {
             return 0.0;

@@ -1,4 +1,4 @@
-//! Encoding of positions, from positions alone: unit, axes, constant coordinates. Also the lags at which
+//! Encoding of positions, from positions alone: unit, axes, constant coordinates. Also the lags where
 //! the stream follows the arm.
 
 use super::axis_convention::{

@@ -10,7 +10,7 @@ const JOINT_NOISE_RAD: f64 = 2e-5;
 const GYRO_NOISE_RAD_S: f64 = 2e-3;
 const ORIENTATION_NOISE_RAD: f64 = 7e-4;
 
-/// 20 s at 100 Hz in which only one joint moves, with noise on each, and the chain.
+/// 20 s at 100 Hz with noise on each joint. Only one joint moves.
 fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
     let (_, chain) = test_motion::arm();
     let mut joints = JointTrack { dof: 6, ..Default::default() };

@@ -86,9 +86,9 @@ pub(crate) struct PoseObservations<'a> {
     pub rotation: Vec<Rotation>,
     pub excluded: ExcludedComponents,
     pub tool_part: ToolPart,
-    /// Stamp at which skew has no effect, s.
+    /// Skew has no effect at this stamp, s.
     pub middle_s: f64,
-    /// Frame from which the poses were transformed to the base, if it moves in the base.
+    /// Frame of the logged poses, if it moves in the base. The poses are transformed to the base.
     pub moving_frame: Option<&'a MovingFrame>,
 }
 
@@ -310,7 +310,7 @@ impl PoseObservations<'_> {
         })
     }
 
-    /// Predicts sample `k`; leaves the Jacobian in `sweep`. `None` if joint states or transforms do not cover it.
+    /// Predicts sample `k` and writes the Jacobian to `sweep`. `None` if joint states or transforms do not cover it.
     fn predict(
         &self,
         k: usize,
@@ -368,7 +368,7 @@ impl PoseObservations<'_> {
         Some(LinearPrediction { jacobian: predicted.jacobian(jacobian, stream), q, qd })
     }
 
-    /// Samples, out of about `most`, at which a joint moves.
+    /// Number of samples, out of about `most`, while a joint moves.
     pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
         let mut sweep = PredictionBuffers::new(self);

@@ -387,7 +387,7 @@ impl Assembly<'_> {
         {
             frame = FrameKind::Upstream;
         }
-        // A tracker that names no frame measures in a world of its own.
+        // A tracker without a named frame has its own world frame.
         if frame == FrameKind::Unnamed
             && (arm.trajectory.is_some()
                 || self.source_kind(stream, frame, false).0 == PoseSourceKind::External)
@@ -511,7 +511,7 @@ impl Assembly<'_> {
         (samples.len() > 1).then_some(samples)
     }
 
-    /// Root frame relative to which the base rotates, by transforms without known joints.
+    /// Root frame in which the base rotates, by transforms without known joints.
     fn rotating_root<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
         const MAX_REST_RAD: f64 = 0.02;
         let root = arm.tree.root_of(&arm.frame_of(arm.base));
