@@ -16,6 +16,22 @@ use crate::finding::{
 use crate::geometry::Pose;
 use crate::time::Stamp;
 
+/// Result of a value that may change: its change, unless only its constant part is wrong or undecided.
+pub fn judge_with_change(
+    subject: Subject,
+    change: Option<(Outcome, Estimate)>,
+    judge_constant: impl FnOnce(Subject) -> SubjectResult,
+) -> SubjectResult {
+    let Some((outcome, estimate)) = change else { return judge_constant(subject) };
+    if !matches!(outcome, Outcome::Evaluated(Ruling::Fail(_))) {
+        let constant = judge_constant(subject.clone());
+        if !matches!(constant.outcome, Outcome::Evaluated(Ruling::Pass(_))) {
+            return constant;
+        }
+    }
+    SubjectResult::new(subject, outcome).estimated(estimate)
+}
+
 struct ChangeReport {
     /// `at +14.00 s`.
     at: String,

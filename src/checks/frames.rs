@@ -67,18 +67,28 @@ fn judge_stream(
     end: &FrameRule,
     subject: Subject,
 ) -> SubjectResult {
-    let stream = &arm.poses[index];
-    let diagnosis = &stream.diagnosis;
-    let thresholds = case.thresholds.frame_thresholds(end.rule, THRESHOLDS);
+    let diagnosis = &arm.poses[index].diagnosis;
     if let Some(why) = diagnosis.unusable_reason() {
         return SubjectResult::new(subject, not_observable(why, settle(arm)));
     }
+    let thresholds = case.thresholds.frame_thresholds(end.rule, THRESHOLDS);
     let moved = (end.changes)(diagnosis);
-    if let Some((outcome, estimate)) =
-        changes::judge_frame_change(case, arm, end.name, moved, &thresholds)
-    {
-        return SubjectResult::new(subject, outcome).estimated(estimate);
-    }
+    let change = changes::judge_frame_change(case, arm, end.name, moved, &thresholds);
+    changes::judge_with_change(subject, change, |subject| {
+        judge_constant(case, (arm, residual_m), index, end, subject)
+    })
+}
+
+fn judge_constant(
+    case: &Case,
+    (arm, residual_m): (&ArmEvidence, f64),
+    index: usize,
+    end: &FrameRule,
+    subject: Subject,
+) -> SubjectResult {
+    let stream = &arm.poses[index];
+    let diagnosis = &stream.diagnosis;
+    let thresholds = case.thresholds.frame_thresholds(end.rule, THRESHOLDS);
     let not_judged = (end.not_judged)(arm, stream);
     let confounders = confounders(arm, end, index);
     let reported = || confounders.iter().find(|(_, offset)| offset.is_chosen);

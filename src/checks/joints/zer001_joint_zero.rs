@@ -9,7 +9,7 @@ use crate::diagnosis::{
     Confounder, EstimateResult, FrameEstimate, JointOffset, Measured, NotObservable,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit};
 use crate::run::PoseSourceKind;
 
 rule! {
@@ -101,7 +101,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(arm.span);
     }
     let threshold = case.thresholds.threshold(&ZER001, threshold(arm.joint_unit(joint)));
-    if let Some(change) = arm.diagnosis.zero_change(joint) {
+    let change = arm.diagnosis.zero_change(joint).map(|change| {
         let effect_m = offset.lever_m * change.size.value.abs();
         let title = "joint zero changes mid-run";
         let (mut outcome, estimate) =
@@ -113,11 +113,24 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
                 .map(|confounder| confounder_alternative(arm, confounder, threshold.unit));
             fault.evidence.indistinguishable.extend(confounders);
         }
-        return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
-    }
+        (outcome, estimate)
+    });
+    let judged = changes::judge_with_change(subject, change, |subject| {
+        judge_constant(case, (arm, subject), joint, offset, &threshold)
+    });
+    judged.within(arm.span)
+}
+
+fn judge_constant(
+    case: &Case,
+    (arm, subject): (&ArmEvidence, Subject),
+    joint: usize,
+    offset: &JointOffset,
+    threshold: &Threshold,
+) -> SubjectResult {
     if turns::part_of_turn(case, arm, joint).is_some() {
         let why = "off by a half or quarter turn (ORD009)".to_owned();
-        return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(arm.span);
+        return SubjectResult::new(subject, Outcome::pass_with_remark(why));
     }
     let measured = match &offset.offset {
         Ok(measured) => measured,
@@ -126,11 +139,11 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
                 Some(confounder) => indistinguishable_outcome(arm, &confounder),
                 None => not_observable(why, SETTLE),
             };
-            return SubjectResult::new(subject, outcome).within(arm.span);
+            return SubjectResult::new(subject, outcome);
         }
     };
     let outcome = match (
-        decide(measured, &threshold, case.evidence.subjects()),
+        decide(measured, threshold, case.evidence.subjects()),
         reported_confounder(arm, offset),
     ) {
         (Decision::Fail(_), _)
@@ -165,7 +178,6 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
     SubjectResult::new(subject, outcome)
-        .within(arm.span)
         .estimated(joint_zero_estimate(threshold.unit, measured))
 }
 

@@ -53,26 +53,30 @@ const SCALE: ScalarRule =
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>, residual_m| {
-        if let Some(change) = ScalarChange::largest(&stream.diagnosis.radial_scale_changes) {
-            let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
+        let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
+        let largest = ScalarChange::largest(&stream.diagnosis.radial_scale_changes);
+        let change = largest.map(|change| {
             let title = "growth with reach changes mid-run";
             let effect_m = change.size.value.abs() * arm.reach_m;
-            let (outcome, estimate) = changes::judge_scalar_change(
+            changes::judge_scalar_change(
                 case,
                 RADIAL_SCALE.name,
                 title,
                 change,
                 &threshold,
                 effect_m,
-            );
-            return stream.judged(outcome).estimated(estimate);
-        }
+            )
+        });
         let radial_scale = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.radial_scale,
             is_chosen: stream.diagnosis.is_radial_scale_chosen,
             doubt: doubt(residual_m, &stream.diagnosis),
         });
-        arm.arm_or_body(RADIAL_SCALE, SCALE).judge(&ZER002, case, arm, &radial_scale)
+        let constant = arm.arm_or_body(RADIAL_SCALE, SCALE);
+        changes::judge_with_change(stream.subject.clone(), change, |_| {
+            constant.judge(&ZER002, case, arm, &radial_scale)
+        })
+        .within(stream.span)
     };
     let judged = case.evidence.robots.iter().flat_map(|arm| {
         let residual_m = residual_attribution::largest_residual_m(arm);
