@@ -21,14 +21,17 @@ impl QuantityLabel {
         let joint = |joint: usize| Some(arm.chain.joint_names()[joint].clone());
         let axis = |axis: usize| Some(["x", "y", "z"][axis % 3].to_owned());
         let by_joint = |at: usize| if arm.is_prismatic(at) { Unit::Metre } else { Unit::Radian };
-        let links = Unit::Metre.show(task.sensing.link_m);
+        let links = match task.sensing.link_m {
+            0.0 => "exact nominal model".to_owned(),
+            link_m => format!("links deviate by {}", Unit::Metre.show(link_m)),
+        };
         let (key, text, axis_or_joint, unit) = match quantity {
             PlannedQuantity::Zero(at) => {
-                ("zero", "zero, exact nominal model".to_owned(), joint(at), by_joint(at))
+                ("zero", format!("zero, {links}"), joint(at), by_joint(at))
             }
-            PlannedQuantity::ZeroBesideLinks(at) => {
-                let text = format!("zero, links deviate by {links}");
-                ("zero_beside_links", text, joint(at), by_joint(at))
+            PlannedQuantity::ZeroAlone(at) => {
+                let text = format!("zero, {links}, the others are right");
+                ("zero_alone", text, joint(at), by_joint(at))
             }
             PlannedQuantity::FkPosition { everywhere: false } => (
                 "fk_position_here",

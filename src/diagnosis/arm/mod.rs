@@ -1,6 +1,7 @@
 //! Joint estimation of the arm and its pose streams.
 
 mod align;
+mod beside_links;
 mod confounders;
 mod fit;
 mod stream;
@@ -21,6 +22,7 @@ use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
 use crate::samples::sampling::as_rotations;
 use crate::selection::held_out::HeldOut;
+use crate::selection::model_selection::Cause;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
@@ -28,6 +30,7 @@ use crate::{
     StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
+use beside_links::BesideLinks;
 use fit::fit;
 pub use fit::full_fit_count;
 use ground::geometry::{Convention, QuaternionOrderError, Vec3};
@@ -577,10 +580,14 @@ fn diagnose(
     let held_out = fitted
         .as_ref()
         .map(|fitted| HeldOut::new(&observations, &fitted.model, &fitted.candidates));
+    let beside_links = match &fitted {
+        Some(fitted) if with_offsets => BesideLinks::new(fitted, &usable),
+        _ => BesideLinks::default(),
+    };
     let (offsets, scales, couplings) = match fitted.as_ref().zip(held_out.as_ref()) {
         _ if !with_offsets || are_floating(streams) => (Vec::new(), Vec::new(), Vec::new()),
         Some((fitted, held_out)) => (
-            joint_offsets(fitted, &usable, joints, held_out),
+            joint_offsets(fitted, &usable, joints, held_out, &beside_links),
             joint_scales(fitted, corrected),
             joint_couplings(fitted, corrected),
         ),
@@ -602,9 +609,14 @@ fn diagnose(
                 let index = used;
                 used += 1;
                 let held_out = held_out.as_ref().map(|held_out| held_out.of_stream(index));
+                let found =
+                    stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, index);
                 PoseDiagnosis {
                     held_out: held_out.unwrap_or_default(),
-                    ..stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, index)
+                    radial_scale: found
+                        .radial_scale
+                        .map(|scale| beside_links.widen(Cause::RadialScale(index), scale)),
+                    ..found
                 }
                 .without_overfitted_causes()
             }

@@ -1,16 +1,14 @@
+use super::beside_links::BesideLinks;
 use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
-use crate::model::measurement::State;
 use crate::selection::held_out::HeldOut;
-use crate::selection::link_deviations::std_errors_of_zeros;
 use crate::selection::model_selection::Cause;
 use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
@@ -31,6 +29,7 @@ pub(super) fn joint_offsets(
     decoded: &[&DecodedStream],
     joints: &JointTrack,
     held_out: &HeldOut,
+    beside_links: &BesideLinks,
 ) -> Vec<JointOffset> {
     let ArmFit { model, candidates, .. } = fitted;
     let moved = moved_joints(joints);
@@ -42,7 +41,6 @@ pub(super) fn joint_offsets(
         .collect();
     let levers_m = levers_m(decoded, joints.dof);
     let all_zeros: Vec<Cause> = model.causes.iter().copied().chain(zeros.iter().copied()).collect();
-    let std_errors = std_errors_beside_links(fitted, decoded);
     (0..joints.dof)
         .map(|joint| {
             let cause = Cause::Zero(joint);
@@ -59,13 +57,12 @@ pub(super) fn joint_offsets(
             } else if !zeros.contains(&cause) {
                 Err(NotObservable::NotExcited)
             } else if chosen {
-                let beside_links = std_errors.get(&joint).copied().unwrap_or(0.0);
                 measured(fitted, &model.causes, cause, 0)
-                    .map(|zero| Measured { std_error: zero.std_error.max(beside_links), ..zero })
+                    .map(|zero| beside_links.widen(cause, zero))
             } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
                 Err(NotObservable::NotExcited)
             } else {
-                measured(fitted, &all_zeros, cause, 0)
+                measured(fitted, &all_zeros, cause, 0).map(|zero| beside_links.widen(cause, zero))
             };
             let mut all_confounders =
                 if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
@@ -91,33 +88,6 @@ pub(super) fn joint_offsets(
             }
         })
         .collect()
-}
-
-/// Standard errors of the selected zeros if link deviations may hide in the noise, by joint column. The stream with the
-/// smallest ones counts.
-fn std_errors_beside_links(fitted: &ArmFit, decoded: &[&DecodedStream]) -> BTreeMap<usize, f64> {
-    let zero = |cause: &Cause| match *cause {
-        Cause::Zero(joint) => Some(joint),
-        _ => None,
-    };
-    let columns: Vec<usize> = fitted.model.causes.iter().filter_map(zero).collect();
-    let mut smallest = BTreeMap::new();
-    if columns.is_empty() || fitted.deviations.is_some() {
-        return smallest;
-    }
-    let State { offsets, streams } = fitted.exact_state();
-    let streams = decoded.iter().zip(&streams);
-    for (DecodedStream { observations, .. }, state) in
-        streams.filter(|(decoded, _)| !decoded.observations.chain.is_floating())
-    {
-        let found = std_errors_of_zeros(observations, state, &offsets, &columns);
-        for (&column, std_error) in columns.iter().zip(found) {
-            let Some(std_error) = std_error else { continue };
-            let smallest = smallest.entry(column).or_insert(std_error);
-            *smallest = std_error.min(*smallest);
-        }
-    }
-    smallest
 }
 
 fn is_prismatic(decoded: &[&DecodedStream], joint: usize) -> bool {

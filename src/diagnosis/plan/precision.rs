@@ -33,8 +33,8 @@ const WEAK_PRIOR: f64 = 1.0;
 pub enum PlannedQuantity {
     /// All zeros free, rad or m.
     Zero(usize),
-    /// Link deviations free as well.
-    ZeroBesideLinks(usize),
+    /// The only zero that is off.
+    ZeroAlone(usize),
     /// Tip position of the calibrated model, rms m.
     FkPosition {
         /// Whether over the workspace instead of the motion.
@@ -294,21 +294,30 @@ impl<'a> LinearizedMotion<'a> {
                 .collect()
         };
         match self.purpose {
-            Purpose::Zeros => {
-                let mut all: Vec<ExpectedPrecision> =
-                    each(&self.zeros(), FIT_SAMPLES, &PlannedQuantity::Zero);
-                let beside = (0..self.joints).filter(|_| self.sensing.link_m > 0.0);
-                let alone: Vec<ExpectedPrecision> = beside
-                    .flat_map(|joint| -> Vec<ExpectedPrecision> {
-                        let question = self.zeros_with_links_query(&[joint], self.link());
-                        each(&question, link_deviations::MAX_DEVIATION_SAMPLES, &|_| {
-                            PlannedQuantity::ZeroBesideLinks(joint)
-                        })
-                    })
-                    .collect();
-                all.extend(alone);
-                all
+            Purpose::Zeros if self.sensing.link_m > 0.0 => {
+                let joints: Vec<usize> = (0..self.joints).collect();
+                let of_joints = |joints: &[usize], quantity: fn(usize) -> PlannedQuantity| {
+                    let question = self.zeros_with_links_query(joints, self.link());
+                    let mut found: Vec<ExpectedPrecision> =
+                        each(&question, link_deviations::MAX_DEVIATION_SAMPLES, &|at| {
+                            quantity(joints[at])
+                        });
+                    for (precision, &joint) in found.iter_mut().zip(joints) {
+                        // Zeros scatter as links do.
+                        let is_prismatic = chain.joint_kinds()[joint] == JointKind::Prismatic;
+                        let scatter = if is_prismatic { self.link().0 } else { self.link().1 };
+                        precision.half_width =
+                            precision.half_width.hypot(HALF_WIDTH_SIGMAS * scatter);
+                    }
+                    found
+                };
+                let mut found = of_joints(&joints, PlannedQuantity::Zero);
+                for joint in joints {
+                    found.extend(of_joints(&[joint], PlannedQuantity::ZeroAlone));
+                }
+                found
             }
+            Purpose::Zeros => each(&self.zeros(), FIT_SAMPLES, &PlannedQuantity::Zero),
             Purpose::Calibration => self.calibrated(chain),
             Purpose::Latency => {
                 each(&self.latency_query(), FIT_SAMPLES, &|_| PlannedQuantity::Latency)

@@ -186,7 +186,7 @@ fn a_plan_is_more_informative_than_random_or_single_joint_motion() {
     let chain = ur5e();
     for (purpose, outside, over_random, over_one) in [
         (Purpose::Zeros, false, 1.0, 1.02),
-        (Purpose::Zeros, true, 1.1, 1.4),
+        (Purpose::Zeros, true, 1.05, 1.1),
         (Purpose::Calibration, false, 1.2, 1.4),
         (Purpose::Latency, false, 1.5, 2.0),
         (Purpose::HandEye, false, 1.2, 2.0),
@@ -266,13 +266,14 @@ fn empty() -> PoseTrack {
     }
 }
 
-/// Compares intervals and errors on simulated logs with the predicted precision.
+/// Compares intervals and errors on simulated logs with the predicted precision. The intervals of zeros include link
+/// deviations that may hide in the noise.
 #[test]
 fn the_expected_precision_is_reached() {
     const RUNS: u64 = 16;
     let chain = ur5e();
     let keep = free(&chain, &UR);
-    let sensing = Sensing { rate_hz: 50.0, ..sensing() };
+    let sensing = Sensing { rate_hz: 50.0, link_m: 0.0, ..sensing() };
     let requirements = PlanRequirements { sensing, ..requirements(&chain, &keep, Purpose::Zeros) };
     let zeros = plan(&requirements).unwrap();
     let motion = zeros.series.track(1001);
@@ -314,7 +315,7 @@ fn the_expected_precision_is_reached() {
         seen.push(1.96 * squares[at].sqrt() / promised);
     }
     println!("claimed {claimed:.3?}, actual {seen:.3?}");
-    assert!(claimed.iter().all(|ratio| (ratio - 1.0).abs() < 0.2), "{claimed:?}");
+    assert!(claimed.iter().all(|ratio| *ratio > 0.8) && claimed[6] < 1.2, "{claimed:?}");
     // 16 runs give the spread to 18 %, all seven to 7 %.
     let mean = seen.iter().sum::<f64>() / seen.len() as f64;
     assert!((mean - 1.0).abs() < 0.25, "{seen:?}");
@@ -324,7 +325,6 @@ fn the_expected_precision_is_reached() {
         let offset = found.joints.offsets[joint].offset.clone().unwrap();
         let promised = zeros.precision[joint].half_width;
         assert!((offset.value - truth[joint]).abs() < 2.0 * promised, "{joint} {offset:?}");
-        // The interval of a reported zero includes link deviations below the noise.
         assert!(
             (offset.value - truth[joint]).abs() < offset.half_width(0.99),
             "{joint} {offset:?}"

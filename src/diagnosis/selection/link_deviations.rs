@@ -107,47 +107,36 @@ pub(crate) fn estimate_link_deviations(
     None
 }
 
-/// Standard errors of joint zeros, including the effect of link deviations that may hide in the noise. `columns` are
-/// those of the zeros in the joint track; an entry is `None` if its joint is not in the chain. The size of the
-/// deviations is averaged over its posterior.
-pub(crate) fn std_errors_of_zeros(
-    observations: &PoseObservations,
+/// Standard errors of joint zeros and radial scales, including the effect of link deviations that may hide in the noise,
+/// for each of `sets` of causes that are free together.
+pub(crate) fn std_errors_beside_links<const N: usize>(
+    (observations, stream): (&PoseObservations, usize),
     state: &StreamState,
     offsets: &[f64],
-    columns: &[usize],
-) -> Vec<Option<f64>> {
-    /// Log-normal prior of the size, m.
-    const TYPICAL_M: f64 = MODEL_ERROR_M;
-    const LOG_SCATTER: f64 = 1.0;
-    /// An exact arm has deviations far below the noise.
-    const MIN_SIZE_M: f64 = 1e-8;
-    const GRID_RATIO: f64 = 2.0;
-    let none = vec![None; columns.len()];
+    sets: [&[Cause]; N],
+) -> [Vec<(Cause, f64)>; N] {
     let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
     let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
-        return none;
+        return sets.map(|_| Vec::new());
     };
-    let joint_of = |column: &usize| observations.columns.iter().position(|own| own == column);
-    let joints: Vec<Option<usize>> = columns.iter().map(joint_of).collect();
-    let zeros: Vec<usize> = joints.iter().copied().flatten().collect();
-    let sizes_m = std::iter::successors(Some(MIN_SIZE_M), |size_m| Some(GRID_RATIO * size_m));
-    let fits = sizes_m.take_while(|size_m| *size_m < DEVIATION_GRID_M.1).filter_map(|size_m| {
-        let fit = model.fit(&zeros, &model.uniform_sizes(size_m))?;
-        let unlike = (size_m / TYPICAL_M).ln() / LOG_SCATTER;
-        Some((0.5 * (fit.evidence - unlike * unlike), fit))
-    });
-    let fits: Vec<(f64, DeviationFit)> = fits.collect();
-    let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
-    let std_error = |joint: Option<usize>| {
-        let (mut total, mut sum) = (0.0, 0.0);
-        for (log_likelihood, fit) in &fits {
-            let weight = (log_likelihood - likeliest).exp();
-            total += weight;
-            sum += weight * model.measured_zero(fit, joint?)?.std_error.powi(2);
-        }
-        (total > 0.0).then(|| (sum / total).sqrt())
-    };
-    joints.into_iter().map(std_error).collect()
+    sets.map(|causes| {
+        let additional = AdditionalCauses::for_stream(causes, observations, stream);
+        let fits = model.fits_by_size(&additional);
+        let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
+            let mean = |weight: f64, fit| Some(weight * variance(fit)?);
+            fits.iter().map(|(weight, fit)| mean(*weight, fit)).sum::<Option<f64>>().map(f64::sqrt)
+        };
+        let zeros = additional.zeros.iter().map(|&joint| {
+            let zero = |fit: &DeviationFit| Some(model.measured_zero(fit, joint)?.std_error.powi(2));
+            (Cause::Zero(observations.columns[joint]), std_error(&zero))
+        });
+        let scale_at = model.kinds.len() - 1;
+        let scale = |fit: &DeviationFit| Some(fit.covariance_columns(&[scale_at])[(scale_at, 0)]);
+        let scale = additional
+            .radial_scale
+            .then(|| (Cause::RadialScale(stream), std_error(&scale)));
+        zeros.chain(scale).filter_map(|(cause, std_error)| Some((cause, std_error?))).collect()
+    })
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -389,14 +378,19 @@ impl DeviationModel {
         let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
         let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
         let usual_m = self.typical_size_m(sizes_m);
-        let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
+        // Of the scaled inverse χ² prior of each variance; 0 if all have the usual size.
+        let unlike = |group: usize| {
+            let ratio = sizes_m[group] / usual_m;
+            2.0 * ratio.ln() + ratio.powi(-2) - 1.0
+        };
+        let unlike: f64 = self.groups().map(unlike).sum();
         Some(DeviationFit {
             zeros: additional.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean)
                 - log_det
                 - log_prior
-                - 2.0 * SIZE_PRIOR_DOF * unlike,
+                - SIZE_PRIOR_DOF * unlike,
             mean,
             precision: cholesky,
         })
@@ -415,6 +409,24 @@ impl DeviationModel {
             std_error: variance.sqrt(),
             dof: self.dof.min(others),
         })
+    }
+
+    /// One per size of the deviations, with the posterior probability of that size.
+    fn fits_by_size(&self, additional: &AdditionalCauses) -> Vec<(f64, DeviationFit)> {
+        /// Log-normal prior of the size, m.
+        const TYPICAL_M: f64 = MODEL_ERROR_M;
+        const LOG_SCATTER: f64 = 1.0;
+        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(|size_m| {
+            let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
+            let unlike = (size_m / TYPICAL_M).ln() / LOG_SCATTER;
+            Some((0.5 * (fit.evidence - unlike * unlike), fit))
+        });
+        let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
+        let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
+        fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
+        let total: f64 = fits.iter().map(|fit| fit.0).sum();
+        fits.iter_mut().for_each(|fit| fit.0 /= total);
+        fits
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {

@@ -1,0 +1,62 @@
+//! Standard errors beside link deviations that may hide in the noise.
+
+use super::fit::ArmFit;
+use crate::Measured;
+use crate::encodings::decoded_stream::DecodedStream;
+use crate::model::measurement::State;
+use crate::selection::link_deviations::std_errors_beside_links;
+use crate::selection::model_selection::Cause;
+
+/// Standard errors of zeros and radial scales: of selected ones with the selected causes free, of others with all zeros, or
+/// the radial scale, free in addition. Empty if the fit includes link deviations.
+#[derive(Default)]
+pub(super) struct BesideLinks {
+    std_errors: Vec<(Cause, f64)>,
+}
+
+impl BesideLinks {
+    pub fn new(fitted: &ArmFit, decoded: &[&DecodedStream]) -> Self {
+        let mut beside = Self::default();
+        if fitted.deviations.is_some() {
+            return beside;
+        }
+        let (selected, optional) = (&fitted.model.causes, &fitted.candidates.optional);
+        let with = |others: &dyn Fn(&Cause) -> bool| -> Vec<Cause> {
+            let others = optional.iter().filter(|cause| others(cause) && !selected.contains(cause));
+            selected.iter().chain(others).copied().collect()
+        };
+        let zeros = with(&|cause| matches!(cause, Cause::Zero(_)));
+        let State { offsets, streams } = fitted.exact_state();
+        for (index, (decoded, state)) in decoded.iter().zip(&streams).enumerate() {
+            if decoded.observations.chain.is_floating() {
+                continue;
+            }
+            let scale = with(&|cause| *cause == Cause::RadialScale(index));
+            let [of_selected, of_zeros, of_scale] = std_errors_beside_links(
+                (&decoded.observations, index),
+                state,
+                &offsets,
+                [selected, &zeros, &scale],
+            );
+            let others = of_zeros.into_iter().chain(of_scale);
+            let others = others.filter(|(cause, _)| !selected.contains(cause));
+            of_selected.into_iter().chain(others).for_each(|found| beside.add(found));
+        }
+        beside
+    }
+
+    /// The stream with the smallest standard error counts.
+    fn add(&mut self, (cause, std_error): (Cause, f64)) {
+        match self.std_errors.iter_mut().find(|(own, _)| *own == cause) {
+            Some((_, own)) => *own = own.min(std_error),
+            None => self.std_errors.push((cause, std_error)),
+        }
+    }
+
+    /// `measured`, with the larger standard error.
+    pub fn widen(&self, cause: Cause, measured: Measured) -> Measured {
+        let own = self.std_errors.iter().find(|(own, _)| *own == cause);
+        let std_error = own.map_or(0.0, |(_, std_error)| *std_error).max(measured.std_error);
+        Measured { std_error, ..measured }
+    }
+}
