@@ -133,9 +133,11 @@ fn fit_with_link_deviations(
             (model, candidates) = (confounded, with_confounded);
         }
     }
-    let model = prefer_tool_frames(&observations, model, &candidates, FIT_SAMPLES);
     // Calibrations do not change a zero by more, rad or m.
-    let large_offsets = large_zeros(&model.state, corrected, 0.1);
+    let without_small_zeros = |state: &State| large_zeros(state, corrected, 0.1);
+    let large_offsets = without_small_zeros(&model.state);
+    let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets, FIT_SAMPLES);
+    let large_offsets = without_small_zeros(&model.state);
     let plain: Vec<StreamState> = (0..observations.len())
         .map(|s| with_significant_frames(&model, (observations[s], s), &large_offsets))
         .collect();

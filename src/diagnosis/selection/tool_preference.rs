@@ -2,23 +2,25 @@
 //! constant tool orientation. A tool offset is a normal setting, a displaced base is a fault.
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel, select_model};
+use super::nominal_model::noise_beside_links;
 use crate::frames::constant_frames::tool_start;
 use crate::model::measurement::{PoseObservations, StreamState};
 use ground::geometry::Pose;
 
-/// The tool may have this multiple of the base's residual.
-const MAX_RESIDUAL_RATIO: f64 = 1.5;
-/// It may also exceed the base's by this, m and rad: the effect of typical link deviations.
-const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
+/// Of a fit by a tool, relative to one by the base. Noise of the joint positions shifts the tip of a tool by its length, but
+/// not that of a displaced base.
+const MAX_NOISE_RATIO: f64 = 1.5;
 
-/// Replaces each tuned reference by a tool if that fits as well, on about `max_samples` samples per stream.
+/// Replaces each tuned reference by a tool if that fits as well beside link deviations, on about `max_samples` samples per
+/// stream. `offsets` has only the joint zeros too large for link deviations.
 pub(crate) fn prefer_tool_frames(
     observations: &[&PoseObservations],
     mut model: SelectedModel,
     candidates: &CandidateCauses,
+    offsets: &[f64],
     max_samples: usize,
 ) -> SelectedModel {
-    for s in 0..observations.len() {
+    for (s, &observations_of_stream) in observations.iter().enumerate() {
         let stream = &model.state.streams[s];
         let is_tuned = stream.round_reference.is_none()
             && model.causes.contains(&Cause::Reference(s))
@@ -27,25 +29,29 @@ pub(crate) fn prefer_tool_frames(
         if !is_tuned {
             continue;
         }
-        let without_reference = StreamState { reference: Pose::identity(), ..stream.clone() };
-        let offsets = &model.state.offsets;
-        let Some(tool) = tool_start(observations[s], &without_reference, offsets) else { continue };
+        let by_reference = StreamState { radial_scale: 0.0, ..stream.clone() };
+        let without_reference = StreamState { reference: Pose::identity(), ..by_reference.clone() };
+        let Some(tool) = tool_start(observations_of_stream, &without_reference, offsets) else {
+            continue;
+        };
+        let by_tool = StreamState { tool, ..without_reference };
+        let noise = |state| noise_beside_links(observations_of_stream, state, offsets);
+        let fits_as_well = match (noise(&by_tool), noise(&by_reference)) {
+            (Some(by_tool), Some(by_reference)) => {
+                let mut both = by_tool.iter().zip(&by_reference);
+                both.all(|(tool, reference)| *tool <= MAX_NOISE_RATIO * reference)
+            }
+            (by_tool, _) => by_tool.is_some(),
+        };
+        if !fits_as_well {
+            continue;
+        }
         let mut start = model.state.clone();
-        start.streams[s] = StreamState { tool, ..without_reference };
+        start.streams[s] = by_tool;
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
         let optional = candidates.optional.iter().filter(without).copied().collect();
         let candidates = CandidateCauses { optional, ..candidates.clone() };
-        let other = select_model(observations, start, &candidates, max_samples);
-        if other.causes.len() <= model.causes.len() && fits_as_well(&other, &model) {
-            model = other;
-        }
+        model = select_model(observations, start, &candidates, max_samples);
     }
     model
-}
-
-fn fits_as_well(one: &SelectedModel, other: &SelectedModel) -> bool {
-    let kinds = MAX_EXTRA_RESIDUAL_M_RAD.iter().cycle();
-    one.noise().iter().zip(&other.noise()).zip(kinds).all(|((one, other), more)| {
-        one.sigma <= (MAX_RESIDUAL_RATIO * other.sigma).max(other.sigma + more)
-    })
 }
