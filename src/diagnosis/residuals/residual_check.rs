@@ -205,7 +205,7 @@ fn residual_with_calibration(
         .step_by(stride)
         .filter(|&row| observations.pose_at(row, &plain, &none, &mut sweep).is_some())
         .collect();
-    let kinds = calibrated_residuals(&observations, &plain, stride);
+    let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, stride);
     let [length, angle] = kinds.try_into().ok()?;
     let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
     let (length, angle) = (vectors(length), vectors(angle));

@@ -19,7 +19,7 @@ use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::{
-    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, LINK_PRIOR_M,
+    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR,
     MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
     RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
@@ -121,7 +121,7 @@ pub(crate) fn std_errors_beside_links<const N: usize>(
     };
     sets.map(|causes| {
         let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        let fits = model.fits_by_size(&additional);
+        let (_, fits) = model.fits_by_size(&additional);
         let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
             let mean = |weight: f64, fit| Some(weight * variance(fit)?);
             fits.iter().map(|(weight, fit)| mean(*weight, fit)).sum::<Option<f64>>().map(f64::sqrt)
@@ -180,7 +180,7 @@ impl AdditionalCauses {
 
 /// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
-/// The likelihood is maximised over deviation sizes up to the usual one.
+/// The likelihood is averaged over deviation sizes.
 ///
 /// The stream is linearised about `state` and `offsets`, which exclude the causes.
 pub(crate) fn causes_beyond_link_deviations(
@@ -195,10 +195,7 @@ pub(crate) fn causes_beyond_link_deviations(
     };
     let evidence = |causes: &[Cause]| {
         let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        let fits = sizes_m(LINK_PRIOR_M).filter_map(|size_m| {
-            model.fit_with(&additional, &model.uniform_sizes(size_m)).map(|fit| fit.evidence)
-        });
-        fits.fold(f64::NEG_INFINITY, f64::max)
+        model.fits_by_size(&additional).0
     };
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
@@ -293,7 +290,7 @@ impl DeviationModel {
             link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = observations.columns.len();
         let (columns, of) = parameters(observations, state);
-        (linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
+        (6 * linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
     }
 
     /// The weights come from the residual when all links may deviate by about 1 mm.
@@ -411,8 +408,9 @@ impl DeviationModel {
         })
     }
 
-    /// One per size of the deviations, with the posterior probability of that size.
-    fn fits_by_size(&self, additional: &AdditionalCauses) -> Vec<(f64, DeviationFit)> {
+    /// Twice the log-likelihood, averaged over the size of the deviations, and one fit per size with the posterior
+    /// probability of that size.
+    fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
         /// Log-normal prior of the size, m.
         const TYPICAL_M: f64 = MODEL_ERROR_M;
         const LOG_SCATTER: f64 = 1.0;
@@ -426,7 +424,7 @@ impl DeviationModel {
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
         fits.iter_mut().for_each(|fit| fit.0 /= total);
-        fits
+        (2.0 * (likeliest + total.ln()), fits)
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {

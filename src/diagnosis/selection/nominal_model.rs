@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Rms tip change by a calibration.
 pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
-pub(crate) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+pub(crate) const MAX_TIP_CHANGE_RAD: f64 = RAD_PER_M * MAX_TIP_CHANGE_M;
 /// Over the noise, of positions, or the equivalent of rotations.
 const MIN_EXCESS_M: f64 = 0.3e-3;
 /// Same with joint zeros, whose intervals it widens.
@@ -124,7 +124,7 @@ pub(crate) fn skew_beside_link_deviations(
 ) -> Option<(Measured, bool)> {
     let rows = (0..observations.len()).step_by(observations.len().div_ceil(MAX_SAMPLES).max(1));
     let frames = link_frames(observations, state, offsets, rows, FreeAlongside::Skew);
-    let fit = LinkFrameChanges::fit_to(&frames, observations, state);
+    let fit = LinkFrameChanges::fit_to(&frames, observations, state, LINK_PRIOR_M);
     let skew = frames.width - 1;
     let variance = fit.normal.matrix.clone().cholesky()?.inverse()[(skew, skew)];
     let dof = (fit.normal.independent - frames.width as f64).max(1.0);
@@ -150,12 +150,15 @@ struct LinkFrameChanges {
     usual: Vec<f64>,
 }
 
-/// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample.
+/// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample. The links deviate by
+/// about `link_m`.
 pub(crate) fn calibrated_residuals(
     observations: &PoseObservations,
     stream_state: &StreamState,
+    link_m: Option<f64>,
     stride: usize,
 ) -> Vec<Vec<[f64; 3]>> {
+    let link_m = link_m.map_or(LINK_PRIOR_M, |link_m| link_m.max(LINK_PRIOR_M));
     let fit_stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let none = vec![0.0; observations.joints.dof];
     let linearized = |stride: usize| {
@@ -163,7 +166,7 @@ pub(crate) fn calibrated_residuals(
         link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
     };
     let frames = linearized(fit_stride);
-    let calibration = LinkFrameChanges::fit_to(&frames, observations, stream_state);
+    let calibration = LinkFrameChanges::fit_to(&frames, observations, stream_state, link_m);
     let frames = if stride.max(1) == fit_stride { frames } else { linearized(stride) };
     frames.residuals_after(calibration.step.as_slice())
 }
@@ -177,18 +180,19 @@ impl LinkFrameChanges {
     ) -> Self {
         let rows = (0..observations.len()).step_by(stride);
         let frames = link_frames(observations, stream_state, offsets, rows, FreeAlongside::Nothing);
-        Self::fit_to(&frames, observations, stream_state)
+        Self::fit_to(&frames, observations, stream_state, LINK_PRIOR_M)
     }
 
-    /// The same for the linearised `frames` of [`link_frames`].
+    /// The same for the linearised `frames` of [`link_frames`], with link deviations of about `link_m`.
     fn fit_to(
         frames: &Linear,
         observations: &PoseObservations,
         stream_state: &StreamState,
+        link_m: f64,
     ) -> Self {
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> =
-            all.iter().map(|&i| usual_change(i, observations, stream_state)).collect();
+            all.iter().map(|&i| usual_change(i, observations, stream_state, link_m)).collect();
         let none = DVector::zeros(frames.width);
         let (mut weights, mut step) = (frames.first_weights(), none.clone());
         let mut normal = Normal::zeros(frames.width);
@@ -222,11 +226,16 @@ impl LinkFrameChanges {
 
 /// Prior on parameter `i` of [`link_frames`]. Wide for those free without a calibration, such as an
 /// undeclared tool.
-fn usual_change(i: usize, observations: &PoseObservations, stream_state: &StreamState) -> f64 {
+fn usual_change(
+    i: usize,
+    observations: &PoseObservations,
+    stream_state: &StreamState,
+    link_m: f64,
+) -> f64 {
     match i % 6 {
         _ if is_free_parameter(i, observations, stream_state) => FREE_PRIOR,
-        0..3 => LINK_PRIOR_M,
-        _ => LINK_PRIOR_RAD,
+        0..3 => link_m,
+        _ => LINK_PRIOR_RAD * link_m / LINK_PRIOR_M,
     }
 }
 
