@@ -8,7 +8,8 @@ use crate::selection::link_deviations::std_errors_beside_links;
 use crate::selection::model_selection::Cause;
 
 /// Standard errors of zeros and radial scales: of selected ones with the selected causes free, of others with all zeros, or
-/// the radial scale, free in addition. Empty if the fit includes link deviations.
+/// the radial scale, free in addition. Only the
+/// scales if the zeros were fitted with link deviations.
 #[derive(Default)]
 pub(super) struct BesideLinks {
     std_errors: Vec<(Cause, f64)>,
@@ -17,10 +18,12 @@ pub(super) struct BesideLinks {
 impl BesideLinks {
     pub fn new(fitted: &ArmFit, decoded: &[&DecodedStream]) -> Self {
         let mut beside = Self::default();
-        if fitted.deviations.is_some() {
+        let (selected, optional) = (&fitted.model.causes, &fitted.candidates.optional);
+        let is_scale = |cause: &Cause| matches!(cause, Cause::RadialScale(_));
+        let is_nominal = fitted.deviations.is_some();
+        if is_nominal && !selected.iter().any(is_scale) {
             return beside;
         }
-        let (selected, optional) = (&fitted.model.causes, &fitted.candidates.optional);
         let with = |others: &dyn Fn(&Cause) -> bool| -> Vec<Cause> {
             let others = optional.iter().filter(|cause| others(cause) && !selected.contains(cause));
             selected.iter().chain(others).copied().collect()
@@ -40,7 +43,9 @@ impl BesideLinks {
             );
             let others = of_zeros.into_iter().chain(of_scale);
             let others = others.filter(|(cause, _)| !selected.contains(cause));
-            of_selected.into_iter().chain(others).for_each(|found| beside.add(found));
+            let found = of_selected.into_iter().chain(others);
+            let found = found.filter(|(cause, _)| !is_nominal || is_scale(cause));
+            found.for_each(|found| beside.add(found));
         }
         beside
     }

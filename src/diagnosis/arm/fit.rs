@@ -139,7 +139,7 @@ fn fit_with_link_deviations(
     let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets, FIT_SAMPLES);
     let large_offsets = without_small_zeros(&model.state);
     let plain: Vec<StreamState> = (0..observations.len())
-        .map(|s| with_significant_frames(&model, (observations[s], s), &large_offsets))
+        .map(|s| with_significant_causes(&model, (observations[s], s), &large_offsets))
         .collect();
     let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
@@ -158,7 +158,7 @@ fn fit_with_link_deviations(
         .map_or_else(|| large_offsets.clone(), |it| it.with_zeros(&large_offsets));
     let is_retained = |cause: &Cause| match *cause {
         Cause::Zero(joint) => offsets[joint] != 0.0,
-        Cause::RadialScale(_) => false,
+        Cause::RadialScale(s) => plain[s].radial_scale != 0.0,
         Cause::JointScale(_) => true,
         Cause::Latency(_) | Cause::Skew(_) => true,
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
@@ -305,22 +305,23 @@ pub(super) fn without_small_causes(model: &SelectedModel, stream: usize) -> Stre
     }
 }
 
-/// Keeps also the small frames that exceed the effect of link deviations.
-fn with_significant_frames(
+/// Keeps also the small frames and the radial scale if they exceed the effect of link deviations.
+fn with_significant_causes(
     model: &SelectedModel,
     (observations, s): (&PoseObservations, usize),
     offsets: &[f64],
 ) -> StreamState {
     let mut plain = without_small_causes(model, s);
-    let mut frames = small_causes(model, s);
-    frames.retain(|cause| matches!(cause, Cause::Reference(_) | Cause::Tool(_)));
-    if frames.is_empty() || observations.chain.is_floating() {
+    let mut causes = small_causes(model, s);
+    causes.retain(|cause| !matches!(cause, Cause::Zero(_)));
+    if causes.is_empty() || observations.chain.is_floating() {
         return plain;
     }
-    for cause in causes_beyond_link_deviations((observations, s), &plain, offsets, &frames) {
+    for cause in causes_beyond_link_deviations((observations, s), &plain, offsets, &causes) {
         let state = &model.state.streams[s];
         match cause {
             Cause::Reference(_) => plain.reference = state.reference,
+            Cause::RadialScale(_) => plain.radial_scale = state.radial_scale,
             _ => plain.tool = state.tool,
         }
     }

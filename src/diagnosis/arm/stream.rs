@@ -142,7 +142,8 @@ pub(super) fn stream_diagnosis(
         with
     };
     let one = |cause: Cause| {
-        if fitted.deviations.is_some() && matches!(cause, Cause::RadialScale(_)) {
+        let is_nominal = fitted.deviations.is_some() && !causes.contains(&cause);
+        if is_nominal && matches!(cause, Cause::RadialScale(_)) {
             Err(NotObservable::NominalKinematics)
         } else if is_hidden(fitted, cause, index) {
             Err(NotObservable::NotExcited)
