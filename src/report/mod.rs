@@ -447,13 +447,17 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
 }
 
 /// Headline rules with input that decided none of their subjects, or must decide every subject and did not.
-/// Ignores subjects that no such log can decide.
+/// Ignores subjects that no such log can decide, unless all are.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
-        let evaluated =
-            rows.filter(|row| row.status != Status::Skipped && !row.is_indistinguishable);
+        let evaluated: Vec<&CheckRow> =
+            rows.filter(|row| row.status != Status::Skipped).collect();
+        if !evaluated.is_empty() && evaluated.iter().all(|row| row.is_indistinguishable) {
+            return true;
+        }
+        let evaluated = evaluated.into_iter().filter(|row| !row.is_indistinguishable);
         let (derived, independent): (Vec<&CheckRow>, Vec<&CheckRow>) =
             evaluated.partition(|row| row.evidence.contains_key(checks::DERIVED));
         // A stream derived from the joint states is not independent evidence.
@@ -535,7 +539,9 @@ mod tests {
         let report = Report::new(LogSummary::default(), vec![], vec![], evaluation, None);
         assert!(report.error.is_some() && report.verdict == Verdict::Inconclusive);
         assert_eq!(verdict_of(vec![row("FRM001", open, false)]), Verdict::Pass);
-        assert_eq!(verdict_of(vec![row("ZER001", open, true)]), Verdict::Pass);
+        assert_eq!(verdict_of(vec![row("ZER001", open, true)]), Verdict::Inconclusive);
+        let others_decided = vec![row("ZER001", open, true), row("ZER001", decided, false)];
+        assert_eq!(verdict_of(others_decided), Verdict::Pass);
         let one_unproven = vec![row("MDL001", open, false), row("MDL001", decided, false)];
         assert_eq!(verdict_of(one_unproven), Verdict::Inconclusive);
     }

@@ -234,9 +234,7 @@ fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> O
 fn indistinguishable_outcome(arm: &ArmEvidence, confounder: &str) -> Outcome {
     match residual_attribution::model_doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
-        None => Outcome::Indistinguishable(format!(
-            "indistinguishable from {confounder}, which is reported instead"
-        )),
+        None => Outcome::Indistinguishable(format!("indistinguishable from {confounder}")),
     }
 }
 
@@ -327,7 +325,12 @@ fn reported_confounder(arm: &ArmEvidence, offset: &JointOffset) -> Option<String
         Confounder::Sag(..) => false,
     })?;
     let cause = confounder_alternative(arm, named, Unit::Radian);
-    Some(format!("{} on {}", cause.code, cause.subject.label()))
+    let is_unknown = match *named {
+        Confounder::Reference(stream, _) => !arm.poses[stream].reference_known,
+        _ => false,
+    };
+    let why = if is_unknown { "whose frame is unknown" } else { "which is reported instead" };
+    Some(format!("{} on {}, {why}", cause.code, cause.subject.label()))
 }
 
 #[cfg(test)]
