@@ -21,7 +21,7 @@ mod tilt;
 use crate::encodings::reinterpret::decode_rotations;
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::correlation::{
-    ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, lag_peaks, norm_series,
+    ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, equal_peaks, lag_peaks, norm_series,
 };
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
 use crate::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
@@ -260,13 +260,6 @@ fn ambiguous_lags(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     (equal.len() > 1).then(|| equal.iter().map(|peak| peak.lag_s).collect())
 }
 
-/// Number of peaks with nearly the highest correlation, which come first.
-fn equal_peaks(peaks: &[LagPeak]) -> usize {
-    let best = peaks.iter().map(|peak| peak.correlation).fold(f64::MIN, f64::max);
-    let is_equal = |peak: &&LagPeak| 1.0 - peak.correlation < 1.2 * (1.0 - best) + 1e-4;
-    peaks.iter().take_while(is_equal).count()
-}
-
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
@@ -398,8 +391,7 @@ impl<'a> Link<'a> {
         Some(link_state)
     }
 
-    /// Lags at which the IMU's speed correlates with the link's, most likely first. Of nearly equal ones, the shortest is
-    /// the likeliest.
+    /// Lags at which the IMU's speed correlates with the link's, most likely first.
     fn peaks(&self, max_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
@@ -412,10 +404,7 @@ impl<'a> Link<'a> {
             }
         };
         let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-        let mut peaks = if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro };
-        let equal = equal_peaks(&peaks);
-        peaks[..equal].sort_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()));
-        peaks
+        if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
     }
 
     /// Rms rotation of the link by FK about its mean in each block of the run.

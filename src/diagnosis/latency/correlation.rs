@@ -191,7 +191,8 @@ pub(crate) fn norm_series(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
     SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
-/// Lags within ±`max_lag_s` at correlation peaks, best first. Empty without motion or a common span.
+/// Lags within ±`max_lag_s` at correlation peaks, best first; of nearly equal ones, as in periodic motion, the shortest
+/// first. Empty without motion or a common span.
 pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64) -> Vec<LagPeak> {
     let by_lag = correlation_by_lag(arm, stream, max_lag_s);
     let mut peaks: Vec<LagPeak> = by_lag
@@ -207,7 +208,16 @@ pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64)
         })
         .collect();
     peaks.sort_by(|a, b| b.correlation.total_cmp(&a.correlation));
+    let equal = equal_peaks(&peaks);
+    peaks[..equal].sort_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()));
     peaks
+}
+
+/// Number of peaks with nearly the highest correlation, which come first.
+pub(crate) fn equal_peaks(peaks: &[LagPeak]) -> usize {
+    let best = peaks.iter().map(|peak| peak.correlation).fold(f64::MIN, f64::max);
+    let is_equal = |peak: &&LagPeak| 1.0 - peak.correlation < 1.2 * (1.0 - best) + 1e-4;
+    peaks.iter().take_while(is_equal).count()
 }
 
 /// Correlation at evenly spaced lags within ±`max_lag_s`. NaN if not comparable. Empty without a common span.
