@@ -121,7 +121,7 @@ pub(crate) fn std_errors_beside_links<const N: usize>(
     };
     sets.map(|causes| {
         let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        let (_, fits) = model.fits_by_size(&additional);
+        let fits = model.fits_by_size(&additional);
         let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
             let mean = |weight: f64, fit| Some(weight * variance(fit)?);
             fits.iter().map(|(weight, fit)| mean(*weight, fit)).sum::<Option<f64>>().map(f64::sqrt)
@@ -159,6 +159,10 @@ struct AdditionalCauses {
 }
 
 impl AdditionalCauses {
+    fn zeros(joints: &[usize]) -> Self {
+        Self { zeros: joints.to_vec(), ..Self::default() }
+    }
+
     /// Causes that affect `stream`.
     fn for_stream(causes: &[Cause], observations: &PoseObservations, stream: usize) -> Self {
         let mut additional = Self::default();
@@ -180,7 +184,7 @@ impl AdditionalCauses {
 
 /// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
-/// The likelihood is averaged over deviation sizes.
+/// The likelihood is maximised over the size of each link's deviations.
 ///
 /// The stream is linearised about `state` and `offsets`, which exclude the causes.
 pub(crate) fn causes_beyond_link_deviations(
@@ -194,8 +198,7 @@ pub(crate) fn causes_beyond_link_deviations(
         return causes.to_vec();
     };
     let evidence = |causes: &[Cause]| {
-        let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        model.fits_by_size(&additional).0
+        model.evidence(&AdditionalCauses::for_stream(causes, observations, stream))
     };
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
@@ -334,8 +337,7 @@ impl DeviationModel {
     }
 
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
-        let additional = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
-        self.fit_with(&additional, sizes_m)
+        self.fit_with(&AdditionalCauses::zeros(zeros), sizes_m)
     }
 
     fn fit_with(&self, additional: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
@@ -408,23 +410,36 @@ impl DeviationModel {
         })
     }
 
-    /// Twice the log-likelihood, averaged over the size of the deviations, and one fit per size with the posterior
-    /// probability of that size.
-    fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
-        /// Log-normal prior of the size, m.
+    /// Log prior of the typical size of deviations, twice, up to a constant.
+    fn log_prior(size_m: f64) -> f64 {
+        /// Log-normal, m.
         const TYPICAL_M: f64 = MODEL_ERROR_M;
         const LOG_SCATTER: f64 = 1.0;
+        -((size_m / TYPICAL_M).ln() / LOG_SCATTER).powi(2)
+    }
+
+    /// Twice the log-likelihood at the likeliest sizes.
+    fn evidence(&self, additional: &AdditionalCauses) -> f64 {
+        let by_size = self.fits_by_size(additional);
+        let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fit)| fit);
+        let likeliest = start.and_then(|fit| self.maximize_likelihood(additional, &fit.sizes_m));
+        likeliest.map_or(f64::NEG_INFINITY, |fit| {
+            fit.evidence + Self::log_prior(self.typical_size_m(&fit.sizes_m))
+        })
+    }
+
+    /// One fit per size of the deviations, with the posterior probability of that size.
+    fn fits_by_size(&self, additional: &AdditionalCauses) -> Vec<(f64, DeviationFit)> {
         let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(|size_m| {
             let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
-            let unlike = (size_m / TYPICAL_M).ln() / LOG_SCATTER;
-            Some((0.5 * (fit.evidence - unlike * unlike), fit))
+            Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
         });
         let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
         let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
         fits.iter_mut().for_each(|fit| fit.0 /= total);
-        (2.0 * (likeliest + total.ln()), fits)
+        fits
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
@@ -435,16 +450,20 @@ impl DeviationModel {
 
     /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
     /// slowly, so the step grows while the likelihood increases.
-    fn maximize_likelihood(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
+    fn maximize_likelihood(
+        &self,
+        additional: &AdditionalCauses,
+        sizes_m: &[f64],
+    ) -> Option<DeviationFit> {
         let (max_iterations, max_change) = SIZE_ITERATION_LIMITS;
-        let mut fit = self.fit(zeros, sizes_m)?;
+        let mut fit = self.fit_with(additional, sizes_m)?;
         let mut stride = 1.0;
         for _ in 0..max_iterations {
             let likelier = self.updated_sizes(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
             // A large step may make the system singular.
-            match self.fit(zeros, &next).filter(|next| next.evidence > fit.evidence) {
+            match self.fit_with(additional, &next).filter(|next| next.evidence > fit.evidence) {
                 Some(next) => {
                     let gained = next.evidence - fit.evidence;
                     (fit, stride) = (next, 2.0 * stride);
@@ -480,7 +499,7 @@ impl DeviationModel {
         let (_, most, _) = DEVIATION_GRID_M;
         let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.uniform_sizes(link_m)));
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        self.maximize_likelihood(&[], &best.sizes_m)
+        self.maximize_likelihood(&AdditionalCauses::default(), &best.sizes_m)
     }
 
     /// One fit per joint not in `zeros` or `but`.
@@ -494,7 +513,7 @@ impl DeviationModel {
             (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
         let with = |joint| {
             let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
-            Some((joint, self.maximize_likelihood(&with, sizes_m)?))
+            Some((joint, self.maximize_likelihood(&AdditionalCauses::zeros(&with), sizes_m)?))
         };
         others.filter_map(with).collect()
     }
@@ -502,7 +521,10 @@ impl DeviationModel {
     /// Selects zeros that exceed link deviations, starting from `before`.
     fn select_zeros(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
         let mut chosen = match before {
-            Some(before) => self.maximize_likelihood(&before.zeros, &before.sizes_m)?,
+            Some(before) => {
+                let zeros = AdditionalCauses::zeros(&before.zeros);
+                self.maximize_likelihood(&zeros, &before.sizes_m)?
+            }
             None => self.without_zeros()?,
         };
         while chosen.zeros.len() < MAX_ZEROS {
