@@ -13,6 +13,7 @@ use crate::changes::{
 };
 use crate::compliance::{
     diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
+    has_unusual_compliance,
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_slow_residual, residual_m};
@@ -141,7 +142,9 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let all: Vec<ArmDiagnosis> = by_compliance.into_iter().chain(by_steps).chain(by_gain).collect();
     // Link deviations hide the difference between those they do not explain.
     let is_any_explained = all.iter().any(is_explained);
-    likeliest(all.into_iter().filter(|it| !is_any_explained || is_explained(it)))
+    let likeliest = likeliest(all.into_iter().filter(|it| !is_any_explained || is_explained(it)));
+    // Usual compliance is no fault, but looks like a step if a joint seldom reverses.
+    likeliest.filter(|it| it.joints.compliance.is_empty() || has_unusual_compliance(it))
 }
 
 #[cfg(test)]

@@ -114,10 +114,17 @@ pub(super) fn diagnose_gain_as_compliance(
     if !joints.scales.iter().any(is_odd) && !joints.encoding.as_ref().is_ok_and(is_coupled) {
         return None;
     }
-    let after = run.fit_compliance(&run.diagnose_as_logged())?;
+    let after = run.fit_compliance(&run.diagnose_as_logged()).filter(has_unusual_compliance)?;
     let is_eccentric = after.joints.compliance.iter().any(JointCompliance::is_eccentric);
     let min_log_ratio = MAX_LOG_RATIO_OF_CONFOUNDER * if is_eccentric { 1.0 } else { -1.0 };
     (log_bayes_factor(&after, diagnosis) > min_log_ratio).then_some(after)
+}
+
+/// Whether some joint has more compliance than usual.
+pub(super) fn has_unusual_compliance(diagnosis: &ArmDiagnosis) -> bool {
+    let is_unusual =
+        |joint: &JointCompliance| joint.value.value.abs() > USUAL_COMPLIANCE_RAD;
+    diagnosis.joints.compliance.iter().any(is_unusual)
 }
 
 /// Whether sizes differ by less than they are uncertain.
@@ -190,10 +197,8 @@ impl ArmRun<'_> {
         let mut with_confounders: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
             let term = search.sag_like(column, zero);
-            let Some(after) = term.and_then(|term| self.diagnose_converged(&search, vec![term]))
-            else {
-                continue;
-            };
+            let after = term.and_then(|term| self.diagnose_converged(&search, vec![term]));
+            let Some(after) = after.filter(has_unusual_compliance) else { continue };
             let is_zero_still_chosen =
                 after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
             let sag =
@@ -257,12 +262,8 @@ impl ArmRun<'_> {
             }
             after = self.corrected(&search.to_compliance(&terms))?;
         }
-        let compliances = search.to_compliance(&terms);
-        let is_large = compliances
-            .iter()
-            .any(|compliance| compliance.value.value.abs() > USUAL_COMPLIANCE_RAD);
-        after.joints.compliance = compliances;
-        is_large.then_some(after)
+        after.joints.compliance = search.to_compliance(&terms);
+        Some(after)
     }
 
     /// `None` if `compliances` is empty.

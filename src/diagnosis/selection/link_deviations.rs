@@ -184,7 +184,8 @@ impl AdditionalCauses {
 
 /// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
-/// The likelihood is maximised over the size of each link's deviations.
+/// All links deviate alike, because one that deviates much more is a wrong frame, if it is the first or the last. A radial
+/// scale must also exceed the deviation of any one link.
 ///
 /// The stream is linearised about `state` and `offsets`, which exclude the causes.
 pub(crate) fn causes_beyond_link_deviations(
@@ -197,9 +198,9 @@ pub(crate) fn causes_beyond_link_deviations(
     let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
         return causes.to_vec();
     };
-    let evidence = |causes: &[Cause]| {
-        model.evidence(&AdditionalCauses::for_stream(causes, observations, stream))
-    };
+    let additional =
+        |causes: &[Cause]| AdditionalCauses::for_stream(causes, observations, stream);
+    let evidence = |causes: &[Cause]| model.evidence(&additional(causes));
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
     let mut present = evidence(&retained);
@@ -214,6 +215,14 @@ pub(crate) fn causes_beyond_link_deviations(
                 (present, retained) = (present.max(likelihood), rest);
             }
             _ => break,
+        }
+    }
+    let scale = Cause::RadialScale(stream);
+    if retained.contains(&scale) {
+        let evidence = |causes: &[Cause]| model.evidence_of_unequal_links(&additional(causes));
+        let others: Vec<Cause> = retained.iter().copied().filter(|cause| *cause != scale).collect();
+        if evidence(&retained) <= evidence(&others) + min_gain {
+            return others;
         }
     }
     retained
@@ -418,8 +427,20 @@ impl DeviationModel {
         -((size_m / TYPICAL_M).ln() / LOG_SCATTER).powi(2)
     }
 
-    /// Twice the log-likelihood at the likeliest sizes.
+    /// Twice the log-likelihood, averaged over the common size of the deviations.
     fn evidence(&self, additional: &AdditionalCauses) -> f64 {
+        let fits = self.fits_by_size(additional);
+        let log_likelihood = |(weight, fit): &(f64, DeviationFit)| {
+            // The average over a fit's posterior probability.
+            0.5 * (fit.evidence + Self::log_prior(fit.sizes_m[0])) - weight.ln()
+        };
+        fits.iter().max_by(|a, b| a.0.total_cmp(&b.0)).map_or(f64::NEG_INFINITY, |likeliest| {
+            2.0 * log_likelihood(likeliest)
+        })
+    }
+
+    /// Twice the log-likelihood at the likeliest size of each link's deviations.
+    fn evidence_of_unequal_links(&self, additional: &AdditionalCauses) -> f64 {
         let by_size = self.fits_by_size(additional);
         let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fit)| fit);
         let likeliest = start.and_then(|fit| self.maximize_likelihood(additional, &fit.sizes_m));

@@ -100,20 +100,18 @@ pub(crate) fn link_deviations_beat_profile(
     unsteady.gain_over(&constant.weights) <= price
 }
 
-/// Noise of positions and rotations beside the likeliest link deviations, m and rad. `None` if those are unusually large.
+/// Noise of positions and rotations beside the likeliest link deviations, m and rad, and the sum of the squares of these,
+/// relative to their prior.
 pub(crate) fn noise_beside_links(
     observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
-) -> Option<Vec<f64>> {
-    /// Of the deviations, rms, relative to their prior.
-    const MAX_SIZE: f64 = 2.0;
+) -> (Vec<f64>, f64) {
     let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let fit = LinkFrameChanges::fit(observations, state, offsets, stride);
     let constrained = fit.step.iter().zip(&fit.usual).filter(|(_, usual)| **usual != FREE_PRIOR);
-    let squares: Vec<f64> = constrained.map(|(step, usual)| (step / usual).powi(2)).collect();
-    let is_usual = squares.iter().sum::<f64>() <= MAX_SIZE.powi(2) * squares.len() as f64;
-    is_usual.then(|| fit.weights.iter().map(|weight| weight.noise.sigma).collect())
+    let squares = constrained.map(|(step, usual)| (step / usual).powi(2)).sum();
+    (fit.weights.iter().map(|weight| weight.noise.sigma).collect(), squares)
 }
 
 /// Clock skew of a stream beside link deviations, and whether it is likelier than none. `state` is the stream's.

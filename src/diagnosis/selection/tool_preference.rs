@@ -5,6 +5,7 @@ use super::model_selection::{CandidateCauses, Cause, SelectedModel, select_model
 use super::nominal_model::noise_beside_links;
 use crate::frames::constant_frames::tool_start;
 use crate::model::measurement::{PoseObservations, StreamState};
+use crate::priors::price;
 use ground::geometry::Pose;
 
 /// Of a fit by a tool, relative to one by the base. Noise of the joint positions shifts the tip of a tool by its length, but
@@ -35,14 +36,13 @@ pub(crate) fn prefer_tool_frames(
             continue;
         };
         let by_tool = StreamState { tool, ..without_reference };
-        let noise = |state| noise_beside_links(observations_of_stream, state, offsets);
-        let fits_as_well = match (noise(&by_tool), noise(&by_reference)) {
-            (Some(by_tool), Some(by_reference)) => {
-                let mut both = by_tool.iter().zip(&by_reference);
-                both.all(|(tool, reference)| *tool <= MAX_NOISE_RATIO * reference)
-            }
-            (by_tool, _) => by_tool.is_some(),
-        };
+        let beside_links = |state| noise_beside_links(observations_of_stream, state, offsets);
+        let (tool_noise, tool_links) = beside_links(&by_tool);
+        let (reference_noise, reference_links) = beside_links(&by_reference);
+        let mut noise = tool_noise.iter().zip(&reference_noise);
+        // A displaced base has the price of a cause.
+        let fits_as_well = noise.all(|(tool, reference)| *tool <= MAX_NOISE_RATIO * reference)
+            && tool_links <= reference_links + price(model.linear.normal.independent);
         if !fits_as_well {
             continue;
         }
