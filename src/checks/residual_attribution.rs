@@ -175,9 +175,9 @@ pub(super) fn attribute_residual(
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| diagnosis.is_nominal)
         && (explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
             || explained.angle.as_ref().is_some_and(|it| it.whole.rms > MIN_NOMINAL_RESIDUAL_RAD))
-        && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none_or(|left| {
-            left.severity != Severity::Error && is_mostly_explained(calibrated, explained)
-        })
+        && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none_or(
+            |left| left.severity != Severity::Error && is_mostly_explained(calibrated, explained),
+        )
     {
         let larger = uncorrected.filter(|error| !is_hardly_larger(error, explained));
         let larger = larger
@@ -239,9 +239,8 @@ pub(super) fn attribute_residual(
 fn is_mostly_explained(calibrated: &FkError, explained: &FkError) -> bool {
     /// Rms, of the residual.
     const MAX_REMAINING_SHARE: f64 = 1.0 / 3.0;
-    let is_small = |left: &ErrorSize, of: &ErrorSize| {
-        left.whole.rms <= MAX_REMAINING_SHARE * of.whole.rms
-    };
+    let is_small =
+        |left: &ErrorSize, of: &ErrorSize| left.whole.rms <= MAX_REMAINING_SHARE * of.whole.rms;
     let angles = calibrated.angle.as_ref().zip(explained.angle.as_ref());
     is_small(&calibrated.length, &explained.length)
         && angles.is_none_or(|(left, of)| is_small(left, of))

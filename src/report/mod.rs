@@ -452,8 +452,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
-        let evaluated: Vec<&CheckRow> =
-            rows.filter(|row| row.status != Status::Skipped).collect();
+        let evaluated: Vec<&CheckRow> = rows.filter(|row| row.status != Status::Skipped).collect();
         if !evaluated.is_empty() && evaluated.iter().all(|row| row.is_indistinguishable) {
             return true;
         }

@@ -407,6 +407,22 @@ fn base_and_tool_are_reported_although_the_motion_does_not_separate_them() {
     }
 }
 
+/// A base rotated by hundredths of a degree absorbs more of the link deviations than the tool does.
+#[test]
+fn a_tool_of_constant_orientation_is_no_displaced_base_although_links_deviate() {
+    for task in [Task::Drawer, Task::Palletising, Task::Welding] {
+        let report = Log::modified(|log| {
+            log.run.motion = Motion::Task(task);
+            crate::checks::mdl::add_link_deviations_times(&mut log.run, 0.2);
+            log.run.pose.tip_from_stream = Pose::translation(0.0, 0.0, 0.15);
+        })
+        .report();
+        let text = crate::checks::case::summary(&report.findings);
+        assert!(report.findings.iter().all(|finding| finding.code != "FRM002"), "{text}");
+        single_finding(&report, "FRM003", POSE);
+    }
+}
+
 #[test]
 fn an_unconnected_world_frame_is_estimated_and_not_judged() {
     let report = Log::modified(|log| {

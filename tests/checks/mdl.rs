@@ -75,12 +75,21 @@ pub fn lengthen_forearm(run: &mut Scenario) {
 
 /// Makes the arm a real one: all links deviate slightly from the catalogue model of the audit.
 pub fn add_link_deviations(run: &mut Scenario) {
-    move_joint_origin(run, "shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]);
-    move_joint_origin(run, "shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]);
-    move_joint_origin(run, "elbow_joint", [1.1e-3, 0.4e-3, 0.5e-3, 0.9e-3, -0.6e-3, 0.0]);
-    move_joint_origin(run, "wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]);
-    move_joint_origin(run, "wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]);
-    move_joint_origin(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
+    add_link_deviations_times(run, 1.0);
+}
+
+/// A multiple of [`add_link_deviations`].
+pub fn add_link_deviations_times(run: &mut Scenario, factor: f64) {
+    for (joint, by) in [
+        ("shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]),
+        ("shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]),
+        ("elbow_joint", [1.1e-3, 0.4e-3, 0.5e-3, 0.9e-3, -0.6e-3, 0.0]),
+        ("wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]),
+        ("wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]),
+        ("wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]),
+    ] {
+        move_joint_origin(run, joint, by.map(|by| factor * by));
+    }
 }
 
 /// Writes the calibration of a UR like `ur_calibration`.

@@ -71,6 +71,20 @@ fn a_base_moved_mid_run_is_reported() {
     assert_change(&report, "FRM002", POSE, 0.013, 1e-4);
 }
 
+/// A change below the limits must not hide a constant offset above them.
+#[test]
+fn a_constant_offset_is_reported_although_it_also_changes_a_little() {
+    let report = report_with(|messages| {
+        edit_poses(messages, |logged| Pose::translation(0.0, 0.02, 0.0) * logged);
+        edit_poses(messages_after_change(messages), |logged| {
+            Pose::translation(0.0, 0.0, 4e-4) * logged
+        });
+    });
+    let finding = single_finding(&report, "FRM002", POSE);
+    let offset_m = finding.estimate.as_ref().and_then(Estimate::value);
+    assert!(offset_m.is_some_and(|offset_m| (offset_m - 0.02).abs() < 5e-4), "{offset_m:?}");
+}
+
 #[test]
 fn a_zero_offset_that_changes_mid_run_is_reported_and_no_abrupt_stop() {
     let report = report_with(|messages| {

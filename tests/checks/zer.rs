@@ -72,6 +72,10 @@ cases! {
 
     ZER001 sag_is_not_reported_as_zero_offset: |log| set_compliance(log, &[(1, SynthComplianceKind::Sag, 0.6)]) => OnlyOtherFinding("ZER003");
 
+    ZER002 growth_of_one_percent_beside_link_deviations: |log| {
+        crate::checks::mdl::add_link_deviations_times(&mut log.run, 0.1);
+        log.run.pose.radial_scale_error = 0.01;
+    } => error(Topic(POSE), Amount(0.01, 5e-4));
     ZER002 positions_too_far_out: |log| log.run.pose.radial_scale_error = 0.01
         => error(Topic(POSE), Amount(0.01, 0.1e-3));
     ZER002 positions_too_near: |log| log.run.pose.radial_scale_error = -0.002

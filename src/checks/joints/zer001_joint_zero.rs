@@ -177,8 +177,7 @@ fn judge_constant(
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    SubjectResult::new(subject, outcome)
-        .estimated(joint_zero_estimate(threshold.unit, measured))
+    SubjectResult::new(subject, outcome).estimated(joint_zero_estimate(threshold.unit, measured))
 }
 
 /// If the motion does not locate an external marker and a residual above the noise remains, the zero may be

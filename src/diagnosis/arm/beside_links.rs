@@ -1,4 +1,4 @@
-//! Standard errors beside link deviations that may hide in the noise.
+//! Standard errors that include link deviations, which may hide in the noise.
 
 use super::fit::ArmFit;
 use crate::Measured;

@@ -29,8 +29,8 @@ use crate::{
     JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream,
     StreamResidual,
 };
-pub(super) use fit::FIT_SAMPLES;
 use beside_links::BesideLinks;
+pub(super) use fit::FIT_SAMPLES;
 use fit::fit;
 pub use fit::full_fit_count;
 use ground::geometry::{Convention, QuaternionOrderError, Vec3};

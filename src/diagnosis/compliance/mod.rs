@@ -122,8 +122,7 @@ pub(super) fn diagnose_gain_as_compliance(
 
 /// Whether some joint has more compliance than usual.
 pub(super) fn has_unusual_compliance(diagnosis: &ArmDiagnosis) -> bool {
-    let is_unusual =
-        |joint: &JointCompliance| joint.value.value.abs() > USUAL_COMPLIANCE_RAD;
+    let is_unusual = |joint: &JointCompliance| joint.value.value.abs() > USUAL_COMPLIANCE_RAD;
     diagnosis.joints.compliance.iter().any(is_unusual)
 }
 

@@ -48,9 +48,7 @@ impl SwitchedTool {
     /// Whether its jumps are too inconsistent for a rigid body, as with stamp jitter.
     fn is_inconsistent(&self) -> bool {
         const MAX_RELATIVE_STD_ERROR: f64 = 0.1;
-        let is_vague = |of: &Measured| {
-            of.std_error > MAX_RELATIVE_STD_ERROR * of.value
-        };
+        let is_vague = |of: &Measured| of.std_error > MAX_RELATIVE_STD_ERROR * of.value;
         is_vague(&self.length_m) && is_vague(&self.angle_rad)
     }
 }

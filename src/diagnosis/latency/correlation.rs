@@ -412,6 +412,18 @@ mod tests {
     }
 
     #[test]
+    fn the_shortest_lag_of_periodic_motion_comes_first() {
+        let wave = |lag_s: f64| {
+            let t_s: Vec<f64> = (0..1500).map(|i| f64::from(i) * 0.01).collect();
+            let value = t_s.iter().map(|t| (t - lag_s).sin().powi(2)).collect();
+            SpeedSeries { t_s, value }
+        };
+        let found = lag_peaks(&wave(0.0), &wave(0.02), 4.0);
+        assert!(found.len() > 1, "{found:?}");
+        assert!((found[0].lag_s - 0.02).abs() < 2e-3, "{found:?}");
+    }
+
+    #[test]
     fn spans_between_gaps_are_summed() {
         let excerpts = |speed: SpeedSeries, around: f64| {
             let kept = speed.t_s.iter().zip(&speed.value).filter(|(t, _)| {

@@ -19,9 +19,8 @@ use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::{
-    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR,
-    MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
-    RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, MAX_LOG_RATIO_OF_CONFOUNDER,
+    MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
 use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
@@ -127,14 +126,14 @@ pub(crate) fn std_errors_beside_links<const N: usize>(
             fits.iter().map(|(weight, fit)| mean(*weight, fit)).sum::<Option<f64>>().map(f64::sqrt)
         };
         let zeros = additional.zeros.iter().map(|&joint| {
-            let zero = |fit: &DeviationFit| Some(model.measured_zero(fit, joint)?.std_error.powi(2));
+            let zero =
+                |fit: &DeviationFit| Some(model.measured_zero(fit, joint)?.std_error.powi(2));
             (Cause::Zero(observations.columns[joint]), std_error(&zero))
         });
         let scale_at = model.kinds.len() - 1;
         let scale = |fit: &DeviationFit| Some(fit.covariance_columns(&[scale_at])[(scale_at, 0)]);
-        let scale = additional
-            .radial_scale
-            .then(|| (Cause::RadialScale(stream), std_error(&scale)));
+        let scale =
+            additional.radial_scale.then(|| (Cause::RadialScale(stream), std_error(&scale)));
         zeros.chain(scale).filter_map(|(cause, std_error)| Some((cause, std_error?))).collect()
     })
 }
@@ -198,8 +197,7 @@ pub(crate) fn causes_beyond_link_deviations(
     let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
         return causes.to_vec();
     };
-    let additional =
-        |causes: &[Cause]| AdditionalCauses::for_stream(causes, observations, stream);
+    let additional = |causes: &[Cause]| AdditionalCauses::for_stream(causes, observations, stream);
     let evidence = |causes: &[Cause]| model.evidence(&additional(causes));
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
@@ -395,10 +393,7 @@ impl DeviationModel {
         Some(DeviationFit {
             zeros: additional.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
-            evidence: self.normal.right.dot(&mean)
-                - log_det
-                - log_prior
-                - SIZE_PRIOR_DOF * unlike,
+            evidence: self.normal.right.dot(&mean) - log_det - log_prior - SIZE_PRIOR_DOF * unlike,
             mean,
             precision: cholesky,
         })
@@ -434,9 +429,9 @@ impl DeviationModel {
             // The average over a fit's posterior probability.
             0.5 * (fit.evidence + Self::log_prior(fit.sizes_m[0])) - weight.ln()
         };
-        fits.iter().max_by(|a, b| a.0.total_cmp(&b.0)).map_or(f64::NEG_INFINITY, |likeliest| {
-            2.0 * log_likelihood(likeliest)
-        })
+        fits.iter()
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or(f64::NEG_INFINITY, |likeliest| 2.0 * log_likelihood(likeliest))
     }
 
     /// Twice the log-likelihood at the likeliest size of each link's deviations.

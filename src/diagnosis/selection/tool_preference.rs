@@ -8,11 +8,10 @@ use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::price;
 use ground::geometry::Pose;
 
-/// Of a fit by a tool, relative to one by the base. Noise of the joint positions shifts the tip of a tool by its length, but
-/// not that of a displaced base.
+/// Of a fit by a tool, relative to one by the base. Noise of the joint positions rotates a tool, and shifts its tip.
 const MAX_NOISE_RATIO: f64 = 1.5;
 
-/// Replaces each tuned reference by a tool if that fits as well beside link deviations, on about `max_samples` samples per
+/// Replaces each tuned reference by a tool if that fits as well with link deviations, on about `max_samples` samples per
 /// stream. `offsets` has only the joint zeros too large for link deviations.
 pub(crate) fn prefer_tool_frames(
     observations: &[&PoseObservations],
