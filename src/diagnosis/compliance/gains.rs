@@ -9,7 +9,7 @@ use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::changes::is_explained_by_links;
 use crate::joints::MIN_MOTION_RAD;
-use crate::priors::price;
+use crate::priors::{LINK_PRIOR_RAD, price};
 use crate::residuals::comparison::has_large_residual;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{
@@ -70,7 +70,11 @@ impl ArmRun<'_> {
         let selection_price = 2.0 * (gains.len() as f64).ln();
         let gained = system.cost(&[]) - cost(&best);
         let gain = Gain { amount: system.best_value(best), ..gains[best] };
-        (gained > price(system.independent()) + selection_price).then_some((gain, selection_price))
+        let [low, high] = range(&joints.q, gain.by, joints.dof);
+        // Link deviations of unequal links explain a smaller error.
+        let is_large = gain.amount.abs() * 0.5 * (high - low) > LINK_PRIOR_RAD;
+        let is_worth_it = gained > price(system.independent()) + selection_price;
+        (is_large && is_worth_it).then_some((gain, selection_price))
     }
 
     /// Gains of each rotary joint by each one that moves. Their amounts are 0.
@@ -81,9 +85,7 @@ impl ArmRun<'_> {
                 && self.streams.iter().any(|stream| stream.columns.contains(column))
         };
         let moves = |column: &usize| {
-            let positions = || self.joints.q.iter().skip(*column).step_by(dof).copied();
-            let low = positions().fold(f64::INFINITY, f64::min);
-            let high = positions().fold(f64::NEG_INFINITY, f64::max);
+            let [low, high] = range(&self.joints.q, *column, dof);
             high - low > MIN_MOTION_RAD
         };
         let driving: Vec<usize> = (0..dof).filter(is_rotary).filter(moves).collect();
@@ -113,6 +115,12 @@ impl Gain {
 fn rms_m(streams: &[PoseDiagnosis]) -> f64 {
     let residuals = streams.iter().filter_map(|stream| stream.residual.as_ref().ok());
     residuals.map(|residual| residual.rms_m).fold(0.0, f64::max)
+}
+
+/// Lowest and highest position.
+fn range(q: &[f64], column: usize, dof: usize) -> [f64; 2] {
+    let positions = q.iter().skip(column).step_by(dof.max(1));
+    positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &q| [low.min(q), high.max(q)])
 }
 
 fn middle(q: &[f64], column: usize, dof: usize) -> f64 {
