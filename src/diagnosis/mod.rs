@@ -30,7 +30,8 @@
 //!    explain.
 //!    `selection::held_out` drops causes that do not predict held-out samples better.
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
-//!    confounders, excess residual and latency profile. `frames::with_links` estimates the frames of an arm that
+//!    confounders, excess residual and latency profile. Intervals of zeros and radial scales include link deviations
+//!    (`arm::beside_links`). `frames::with_links` estimates the frames of an arm that
 //!    deviates. A variable latency is compensated; steps 2 to 6 are repeated.
 //! 7. `compliance::gains` finds a scale or a coupling of a joint. If it does not explain the residual, `changes` finds
 //!    steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
