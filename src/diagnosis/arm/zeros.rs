@@ -5,7 +5,7 @@ use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
 use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
-use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
+use crate::{Confounder, JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -67,6 +67,13 @@ pub(super) fn joint_offsets(
             let mut all_confounders =
                 if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
             all_confounders.extend_from_slice(deviation_confounders.unwrap_or_default());
+            if let (true, Ok(zero)) = (chosen, &offset) {
+                let of_frame = frame_of_end(decoded, joint, zero.value.abs());
+                let is_new = |frame: &Confounder| {
+                    !all_confounders.iter().any(|known| known.is_same_frame(frame))
+                };
+                all_confounders.extend(of_frame.filter(is_new));
+            }
             let is_slide = is_prismatic(decoded, joint);
             let within_a_turn = |offset: Measured| match is_slide {
                 true => offset,
@@ -88,6 +95,19 @@ pub(super) fn joint_offsets(
             }
         })
         .collect()
+}
+
+/// Frame that turns the poses like a zero of this size of the first or last joint. With several streams, no frame turns all.
+fn frame_of_end(decoded: &[&DecodedStream], column: usize, size: f64) -> Option<Confounder> {
+    let [DecodedStream { observations, .. }] = decoded else { return None };
+    if !observations.reference_known {
+        return None;
+    }
+    match observations.columns.iter().position(|own| *own == column)? {
+        0 => Some(Confounder::Reference(0, size)),
+        joint if joint + 1 == observations.columns.len() => Some(Confounder::Tool(0, size)),
+        _ => None,
+    }
 }
 
 fn is_prismatic(decoded: &[&DecodedStream], joint: usize) -> bool {

@@ -174,3 +174,14 @@ pub enum Confounder {
     /// Joint's maximum over the run.
     Sag(usize, f64),
 }
+
+impl Confounder {
+    /// Whether both are the same end of the same stream.
+    pub(crate) fn is_same_frame(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Reference(one, _), Self::Reference(other, _))
+            | (Self::Tool(one, _), Self::Tool(other, _)) => one == other,
+            _ => false,
+        }
+    }
+}
