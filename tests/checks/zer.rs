@@ -186,3 +186,17 @@ fn sag_over_a_small_range_is_not_reported_as_scale() {
     let text = crate::checks::case::summary(&report.findings);
     assert!(report.findings.iter().all(|finding| finding.code != "ORD009"), "{text}");
 }
+
+/// They turn the poses alike, whatever the links.
+#[test]
+fn a_zero_of_the_first_joint_lists_the_base_although_links_deviate() {
+    let report = Log::modified(|log| {
+        crate::checks::mdl::add_link_deviations_times(&mut log.run, 0.2);
+        log.run.joints.zero_offsets = zero_offset(0, 8.0);
+    })
+    .report();
+    let finding = single_finding(&report, "ZER001", "shoulder_pan_joint");
+    let others: Vec<&str> =
+        finding.evidence.indistinguishable.iter().map(|other| other.code).collect();
+    assert_eq!(others, ["FRM002"]);
+}
