@@ -7,9 +7,8 @@ use crate::model::measurement::State;
 use crate::selection::link_deviations::std_errors_beside_links;
 use crate::selection::model_selection::Cause;
 
-/// Standard errors of zeros and radial scales: of selected ones with the selected causes free, of others with all zeros, or
-/// the radial scale, free in addition. Only the
-/// scales if the zeros were fitted with link deviations.
+/// Standard errors of zeros and radial scales. For selected ones the selected causes are free, for others also all zeros or
+/// the radial scale. Zeros that were fitted with link deviations are left out.
 #[derive(Default)]
 pub(super) struct BesideLinks {
     std_errors: Vec<(Cause, f64)>,

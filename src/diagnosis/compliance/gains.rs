@@ -71,7 +71,7 @@ impl ArmRun<'_> {
         let gained = system.cost(&[]) - cost(&best);
         let gain = Gain { amount: system.best_value(best), ..gains[best] };
         let [low, high] = range(&joints.q, gain.by, joints.dof);
-        // Link deviations of unequal links explain a smaller error.
+        // A usual link deviation has a larger effect than a smaller gain.
         let is_large = gain.amount.abs() * 0.5 * (high - low) > LINK_PRIOR_RAD;
         let is_worth_it = gained > price(system.independent()) + selection_price;
         (is_large && is_worth_it).then_some((gain, selection_price))

@@ -138,7 +138,7 @@ pub fn check_residual(
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
-    // Null-space motion of a seven-joint arm leaves the tip at rest.
+    // The tip rests during null-space motion of a seven-joint arm.
     let is_in_one_posture = variance(&points) < MAX_REST_SPREAD_M * MAX_REST_SPREAD_M
         && stream
             .columns
@@ -259,7 +259,7 @@ pub(crate) struct ErrorSeries<'a> {
     fk: &'a [Pose],
     length: Vec<Vec3>,
     angle: Option<Vec<Vec3>>,
-    /// Longest lag, in samples, with negligible motion. 0 if there is none.
+    /// Longest lag, in samples, with negligible motion; 0 without such a lag.
     short: usize,
     period_s: f64,
 }
@@ -339,7 +339,7 @@ impl<'a> ErrorSeries<'a> {
             let difference = |&row: &usize| {
                 let (before, after) = (row.checked_sub(over)?, row + over);
                 let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
-                // Their variance is six times that of independent noise.
+                // Their variance is six times the variance of independent noise.
                 is_even
                     .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
@@ -352,7 +352,7 @@ impl<'a> ErrorSeries<'a> {
     }
 }
 
-/// Limits the noise of each part by that of the others: an error that leaps within a part is no noise.
+/// Limits the noise of each part by the noise of the others, because an error may jump within a part.
 fn limit_noise(parts: &mut [PartError]) {
     /// To the median. Noise that grows with speed differs between parts.
     const MAX_NOISE_RATIO: f64 = 3.0;
