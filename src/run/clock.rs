@@ -175,8 +175,8 @@ impl ClockSource<'_> {
 
 /// Groups the transforms of a TF topic by clock.
 ///
-/// Each is given by child frame and times. A group has one kind of stamps, and median delays within
-/// `max_latency_s`. Returns each group with its transforms' indices.
+/// Each is given by child frame and times. A group has one kind of stamps, and delays within
+/// `max_latency_s` of each other. Returns each group with its transforms' indices.
 pub(super) fn group_by_clock<'a>(
     stream: usize,
     transforms: impl Iterator<Item = (&'a str, &'a Times)>,
@@ -197,8 +197,7 @@ pub(super) fn group_by_clock<'a>(
         let (stamps, _) = alone.header_stamps();
         let delay = alone.delay(Clock::Header);
         let fits = |(other, group): &(HeaderStamps, Option<DelayStats>)| {
-            let close =
-                delay.zip(*group).is_some_and(|(a, b)| a.is_within(max_latency_s, b.median));
+            let close = delay.zip(*group).is_some_and(|(a, b)| a.agrees(b, max_latency_s));
             stamps == *other && (stamps != HeaderStamps::Sound || close)
         };
         match seen.iter().position(fits) {
@@ -223,32 +222,39 @@ struct DelayStats {
     median: i64,
     /// 1 % quantile: near the minimum, robust against one stamp from the future.
     floor: i64,
+    /// 99 % quantile.
+    ceiling: i64,
 }
 
 impl DelayStats {
     fn from_delays(mut delays: Vec<i64>) -> Option<Self> {
         let at = |part: usize| delays.len() * part / 100;
-        let (middle, low) = (at(50), at(1));
+        let [low, middle, high] = [1, 50, 99].map(at);
         if delays.is_empty() {
             return None;
         }
-        let (below, &mut median, _) = delays.select_nth_unstable(middle);
-        let floor = if low < middle { *below.select_nth_unstable(low).1 } else { median };
-        Some(Self { median, floor })
+        let mut quantile = |at: usize| *delays.select_nth_unstable(at).1;
+        Some(Self { median: quantile(middle), floor: quantile(low), ceiling: quantile(high) })
     }
 
     fn spread_s(self) -> f64 {
         seconds(self.median.saturating_sub(self.floor))
     }
 
-    fn is_within(self, limit_s: f64, other: i64) -> bool {
-        seconds(self.median.saturating_sub(other)).abs() <= limit_s
+    const ZERO: Self = Self { median: 0, floor: 0, ceiling: 0 };
+
+    /// Whether some delays of both are within the limit of each other. A clock that is set in mid-run is the common clock
+    /// before or after.
+    fn agrees(self, other: Self, limit_s: f64) -> bool {
+        let apart = self.floor.saturating_sub(other.ceiling);
+        let apart = apart.max(other.floor.saturating_sub(self.ceiling));
+        seconds(apart) <= limit_s
     }
 }
 
 /// Selects the clock of every stream, and aligns those on other clocks.
 ///
-/// A stream is on another clock if its median delay to the recorder differs by more than `max_latency_s`.
+/// A stream is on another clock if all its delays to the recorder differ by more than `max_latency_s`.
 /// Alignment uses the minimum of log time minus stamp: the clock offset plus the minimum transport delay.
 /// Subtracting that of a stream on the common clock removes the delay. Streams on log time are aligned
 /// as well if the common clock is not the recorder's.
@@ -299,23 +305,18 @@ fn align(
         .filter(|&i| clocks[i].clock == Clock::Header)
         .filter_map(|i| Some((i, delays[i]?)))
         .collect();
-    let mut medians: Vec<i64> = votes.iter().map(|(_, delay)| delay.median).collect();
-    medians.sort_unstable();
     let agreeing = |delay: DelayStats| {
-        let is_within = |median: &i64| delay.is_within(max_latency_s, *median);
-        let first = medians.partition_point(|median| *median < delay.median && !is_within(median));
-        let end = medians.partition_point(|median| *median <= delay.median || is_within(median));
-        end - first
+        votes.iter().filter(|(_, other)| delay.agrees(*other, max_latency_s)).count()
     };
     // Joint states, then the earlier stream.
     let rank = |&&(i, delay): &&(usize, DelayStats)| {
         (agreeing(delay), sources[i].is_joints, std::cmp::Reverse(i))
     };
     let Some(&(_, common)) = votes.iter().max_by_key(rank) else { return };
-    let is_recorders = common.is_within(max_latency_s, 0);
+    let is_recorders = common.agrees(DelayStats::ZERO, max_latency_s);
     for ((clock, delay), source) in clocks.iter_mut().zip(delays).zip(sources) {
         let Some(delay) = delay else { continue };
-        let agrees = delay.is_within(max_latency_s, common.median);
+        let agrees = delay.agrees(common, max_latency_s);
         if clock.clock == Clock::Header {
             clock.epoch = match (agrees, is_recorders) {
                 (false, _) => Epoch::Foreign,
@@ -381,6 +382,17 @@ mod tests {
         let first = clocks[0].stamp_of(&foreign, 0).unwrap();
         assert_eq!(first, Stamp::from_nanos(START));
         assert_eq!(clocks[1].alignment, None);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_in_mid_run_is_not_aligned() {
+        let good = times(|_, truth| truth);
+        for from in [300, 700] {
+            let set = times(|row, truth| truth + if row < from { 0 } else { 60_000_000_000 });
+            let sources = [source(0, &set), source(JOINTS, &good), source(2, &good)];
+            let clocks = select_clocks(&sources, Clock::Header, 5.0);
+            assert!(clocks.iter().all(|clock| clock.alignment.is_none()), "{clocks:?}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::changes::latency_steps;
 use crate::imu::diagnose_converted_imu;
 use crate::priors::price_of_cause;
 use crate::residuals::cause_columns::CauseColumns;
-use crate::residuals::comparison::residual_m;
+use crate::residuals::comparison::{residual_m, residual_of_shares_m};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
     JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
@@ -44,7 +44,10 @@ impl CompensatedRun {
             // Misread joints change the speeds as well.
             let none = vec![None; streams.len()];
             let as_logged = diagnose_without_coarse_changes(joints, streams, &none, max_lag_s);
-            if residual_m(&as_logged) <= residual_m(&first) {
+            let size_m = |diagnosis: &ArmDiagnosis, changes: &[Option<CoarseLatencyChange>]| {
+                residual_of_shares_m(diagnosis, &compared_shares(joints, streams, changes))
+            };
+            if size_m(&as_logged, &none) <= size_m(&first, &changes) {
                 (changes, first) = (none, as_logged);
             }
         }
@@ -233,6 +236,29 @@ fn diagnose_without_coarse_changes(
         stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
     }
     diagnose_arm(joints, &streams, max_lag_s)
+}
+
+/// Shares of the rows of streams that are within the times of the joint states.
+fn compared_shares(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    changes: &[Option<CoarseLatencyChange>],
+) -> Vec<f64> {
+    let (Some(&first_s), Some(&last_s)) = (joints.t_s.first(), joints.t_s.last()) else {
+        return vec![0.0; streams.len()];
+    };
+    let share = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
+        let t_s = &stream.track.t_s;
+        let is_compared = |t_s: &f64| (first_s..=last_s).contains(t_s);
+        let compared = match change {
+            Some(change) => {
+                change.compensated(t_s).iter().filter(|row| is_compared(&row.1)).count()
+            }
+            None => t_s.iter().filter(|t_s| is_compared(t_s)).count(),
+        };
+        compared as f64 / t_s.len().max(1) as f64
+    };
+    streams.iter().zip(changes).map(share).collect()
 }
 
 /// Streams with other tracks, if there are any.

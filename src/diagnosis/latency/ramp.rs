@@ -2,7 +2,7 @@
 
 use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
-use super::speed_residual::{SpeedPairs, fit_rows};
+use super::speed_residual::{SpeedPairs, fit_rows, squared_residual};
 use crate::LatencyProfile;
 use crate::samples::sampling::monotonic_rows;
 
@@ -89,7 +89,8 @@ impl LatencyRamp {
         (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
     }
 
-    /// Minimises the speed residual over the lag at each knot. Returns the residual.
+    /// Minimises the speed residual over the lag at each knot, where the arm's speed is known. Returns the residual of all
+    /// stamps.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
         let rows = fit_rows(stream);
@@ -111,7 +112,7 @@ impl LatencyRamp {
                 }
             }
         }
-        min_residual
+        squared_residual(arm, stream, &|t_s| self.lag_s(t_s))
     }
 
     /// Stamps whose latency depends on the lag at a knot, s.

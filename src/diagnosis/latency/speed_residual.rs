@@ -11,7 +11,7 @@ pub(crate) fn squared_residual(
     stream: &SpeedSeries,
     lag_s: &dyn Fn(f64) -> f64,
 ) -> f64 {
-    SpeedPairs::new(arm, stream, &fit_rows(stream), lag_s).squared_residual()
+    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
 }
 
 pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
@@ -24,14 +24,18 @@ pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
     values().map(|value| (value - mean).powi(2)).sum()
 }
 
-/// Squared differences of the two speeds at a lag. 0 if the arm's speed is unknown.
+/// Squared differences of the two speeds at a lag. Where the arm's speed is unknown, the most that a lag that explains
+/// the speeds may leave.
 pub(crate) fn differences(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
     rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    SpeedPairs::new(arm, stream, rows, &lag_s).squares().collect()
+    let unknown =
+        MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, rows) / rows.len().max(1) as f64;
+    let pairs = SpeedPairs::new(arm, stream, rows, &lag_s);
+    pairs.squares().map(|square| square.unwrap_or(unknown)).collect()
 }
 
 /// Speeds of arm and stream at common times.
@@ -68,18 +72,17 @@ impl<'a> SpeedPairs<'a> {
         }
     }
 
-    fn squares(&self) -> impl Iterator<Item = f64> {
+    fn squares(&self) -> impl Iterator<Item = Option<f64>> {
         let square = |of: fn(&(f64, f64)) -> f64| self.pairs.iter().flatten().map(of).sum::<f64>();
         // The stream may use another length unit.
         let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
         let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
-        self.pairs
-            .iter()
-            .map(move |pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
+        self.pairs.iter().map(move |pair| pair.map(|(arm, stream)| (stream - arm / scale).powi(2)))
     }
 
+    /// Where the arm's speed is known.
     pub fn squared_residual(&self) -> f64 {
-        self.squares().sum()
+        self.squares().flatten().sum()
     }
 }
 

@@ -1,7 +1,7 @@
 //! Large latency steps: assigns a candidate lag to each time, minimising speed differences plus a price per
 //! step (Viterbi 1967).
 
-use super::correlation::SpeedSeries;
+use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
 use super::profile::{LatencyProfile, LatencyShape, LatencyStep, mean};
 use super::speed_residual::{
@@ -22,8 +22,18 @@ const MAX_RESIDUAL_RATIO: f64 = 0.35;
 /// Levels of a latency with steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencySteps {
-    /// Start stamp, s from the run's origin, and latency, s. At least two; the first starts at −∞.
-    levels: Vec<(f64, f64)>,
+    /// At least two; the first starts at −∞.
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Level {
+    /// Stamp, s from the run's origin.
+    from_s: f64,
+    /// Latency, s.
+    lag_s: f64,
+    /// Interval before the first stamp, s. As long as the step if only the clock was set forward.
+    gap_s: f64,
 }
 
 /// Latency steps, from the lags in `followed`.
@@ -32,13 +42,30 @@ pub(crate) fn detect_steps(
     stream: &SpeedSeries,
     followed: &[&LagWindow],
 ) -> Option<LatencySteps> {
-    let lags = candidate_lags(followed);
+    let mut lags = candidate_lags(followed);
+    let leaps_s = forward_leaps_s(stream);
+    if let Some(&usual) = lags.first() {
+        lags.extend(leaps_s.into_iter().flat_map(|leap_s| [usual - leap_s, usual + leap_s]));
+    }
     let rough = (lags.len() > 1).then(|| assign_lags(arm, stream, &lags)).flatten()?;
     let finer = assign_lags(arm, stream, &rough.finer_lags(arm, stream));
     Some(finer.unwrap_or(rough))
 }
 
-/// Lags of the windows. Close ones merge to the best correlated.
+/// Sizes of the largest steps of a clock that was set forward, if the largest gaps are such steps, s.
+fn forward_leaps_s(stream: &SpeedSeries) -> Vec<f64> {
+    const MAX_LEAPS: usize = 2;
+    // Smaller ones are within a window.
+    const MIN_LEAP_S: f64 = 1.0;
+    let usual_s = median_period_s(&stream.t_s) + window_s(&stream.t_s);
+    let intervals = stream.t_s.windows(2).map(|pair| pair[1] - pair[0] - usual_s);
+    let mut leaps: Vec<f64> = intervals.filter(|leap_s| *leap_s > MIN_LEAP_S).collect();
+    leaps.sort_by(|a, b| b.total_cmp(a));
+    leaps.truncate(MAX_LEAPS);
+    leaps
+}
+
+/// Lags of the windows, most frequent first. Close ones merge to the best correlated.
 fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     let mut all = windows.to_vec();
     all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
@@ -84,24 +111,28 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
         lag = came_by[row - 1][lag];
         path[row - 1] = lag;
     }
-    let mut levels: Vec<(f64, usize)> = vec![(f64::NEG_INFINITY, path[0])];
+    let mut levels: Vec<(f64, usize, f64)> = vec![(f64::NEG_INFINITY, path[0], 0.0)];
     for row in 1..rows.len() {
         if path[row] != path[row - 1] {
-            levels.push((stream.t_s[rows[row]], path[row]));
+            let gap_s = |at: &usize| stream.t_s[*at] - stream.t_s[*at - 1];
+            let between = rows[row - 1] + 1..=rows[row];
+            let begin = between.max_by(|a, b| gap_s(a).total_cmp(&gap_s(b))).unwrap_or(rows[row]);
+            levels.push((stream.t_s[begin], path[row], gap_s(&begin)));
         }
     }
     // Short levels are glitches in one of the speeds.
     let ends: Vec<f64> =
         levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
     let begin_s = stream.t_s[first];
-    let lasts = |(level, end_s): (&(f64, usize), &f64)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S;
-    let mut changes: Vec<(f64, usize)> =
+    let lasts =
+        |(level, end_s): (&(f64, usize, f64), &f64)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S;
+    let mut changes: Vec<(f64, usize, f64)> =
         levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
     changes.dedup_by_key(|level| level.1);
     changes.first_mut()?.0 = f64::NEG_INFINITY;
-    let levels: Vec<(f64, f64)> =
-        changes.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
-    let steps = LatencySteps { levels };
+    let level =
+        |&(from_s, lag, gap_s): &(f64, usize, f64)| Level { from_s, lag_s: lags[lag], gap_s };
+    let steps = LatencySteps { levels: changes.iter().map(level).collect() };
     let clear: Vec<usize> =
         (0..rows.len()).filter(|&row| steps.is_far_from_steps(stream.t_s[rows[row]])).collect();
     let with: f64 = clear
@@ -126,8 +157,8 @@ impl LatencySteps {
         /// Around the coarse lag.
         const LAG_SEARCH_RANGE_S: f64 = 0.03;
         const LAG_SEARCH_STEP_S: f64 = 1e-3;
-        let ends_s = self.levels.iter().skip(1).map(|level| level.0).chain([f64::INFINITY]);
-        let finer = self.levels.iter().zip(ends_s).map(|(&(from_s, lag_s), end_s)| {
+        let ends_s = self.levels.iter().skip(1).map(|level| level.from_s).chain([f64::INFINITY]);
+        let finer = self.levels.iter().zip(ends_s).map(|(&Level { from_s, lag_s, .. }, end_s)| {
             let [from, to] =
                 [from_s, end_s].map(|at_s| stream.t_s.partition_point(|t_s| *t_s < at_s));
             let clear: Vec<usize> =
@@ -156,24 +187,28 @@ impl LatencySteps {
 
     /// Lag that remains when the steps are removed: the smallest in magnitude, s.
     fn retained_lag_s(&self) -> f64 {
-        let lags = self.levels.iter().map(|level| level.1);
+        let lags = self.levels.iter().map(|level| level.lag_s);
         lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
     }
 
     /// Latency at a stamp, s.
     pub(crate) fn lag_s(&self, t_s: f64) -> f64 {
-        let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
-        self.levels[after.saturating_sub(1)].1
+        let after = self.levels.partition_point(|level| level.from_s <= t_s);
+        self.levels[after.saturating_sub(1)].lag_s
     }
 
     fn relative_s(&self, t_s: f64) -> f64 {
         self.lag_s(t_s) - self.retained_lag_s()
     }
 
-    /// Whether a stamp belongs to one level. Stamps of both overlap near a backward step.
+    /// Whether a stamp belongs to one level. Levels overlap, or leave a gap, by how much the step differs from the interval
+    /// of the stamps.
     fn is_far_from_steps(&self, t_s: f64) -> bool {
         let mut steps = self.levels.windows(2);
-        steps.all(|both| (t_s - both[1].0).abs() > (both[1].1 - both[0].1).abs())
+        steps.all(|both| {
+            let overlap_s = (both[1].lag_s - both[0].lag_s - both[1].gap_s).abs();
+            (t_s - both[1].from_s).abs() > overlap_s
+        })
     }
 
     /// Stamps without the steps, each with its row. Skips rows near a step and rows out of order.
@@ -191,7 +226,7 @@ impl LatencySteps {
         let begins: Vec<f64> = self
             .levels
             .iter()
-            .map(|(from_s, lag_s)| from_s - (lag_s - self.retained_lag_s()))
+            .map(|level| level.from_s - (level.lag_s - self.retained_lag_s()))
             .collect();
         let level = |index: usize| {
             let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
@@ -200,8 +235,8 @@ impl LatencySteps {
         };
         let mut jumps: Vec<LatencyStep> = (1..self.levels.len())
             .map(|index| {
-                let [(_, before_s), (at_s, after_s)] = [self.levels[index - 1], self.levels[index]];
-                let coarse_s = after_s - before_s;
+                let [before, after] = [self.levels[index - 1], self.levels[index]];
+                let (at_s, coarse_s) = (after.from_s, after.lag_s - before.lag_s);
                 let size_s = match (level(index - 1), level(index)) {
                     (Some(before), Some(after)) => Measured {
                         value: coarse_s + after.value - before.value,
@@ -233,7 +268,7 @@ impl LatencySteps {
             levels: self
                 .levels
                 .iter()
-                .map(|(t_s, lag_s)| (*t_s, lag_s - self.retained_lag_s()))
+                .map(|level| (level.from_s, level.lag_s - self.retained_lag_s()))
                 .collect(),
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
             steps: jumps,
@@ -243,8 +278,27 @@ impl LatencySteps {
 
 #[cfg(test)]
 mod tests {
+    use super::detect_steps;
     use crate::latency::coarse::CoarseLatencyChange;
-    use crate::latency::coarse::tests::changed;
+    use crate::latency::coarse::tests::{changed, pair};
+    use crate::latency::lag_windows::lag_windows;
+
+    #[test]
+    fn a_clock_that_is_set_forward_beyond_the_arms_times_is_measured() {
+        for size_s in [3.0, 12.0, 60.0] {
+            let (arm, mut stream) = pair(|_| 0.0);
+            stream.t_s.iter_mut().filter(|t_s| **t_s > 17.0).for_each(|t_s| *t_s += size_s);
+            let windows = lag_windows(&arm, &stream, 5.0);
+            let followed: Vec<_> = windows.iter().filter(|it| it.correlation > 0.85).collect();
+            let found = detect_steps(&arm, &stream, &followed).expect("a step");
+            let profile = found.profile(&Err(crate::NotObservable::AtRest));
+            let [step] = profile.steps.as_slice() else { panic!("{size_s}: {found:?}") };
+            assert!((step.size_s.value - size_s).abs() < 0.01, "{size_s}: {step:?}");
+            assert!((step.at_s - 17.01 - size_s).abs() < 0.02, "{size_s}: {step:?}");
+            let compared = found.compensated(&stream.t_s);
+            assert!(compared.len() > 3950, "{size_s}: {}", compared.len());
+        }
+    }
 
     #[test]
     fn steps_are_estimated_with_their_times() {

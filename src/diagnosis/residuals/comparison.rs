@@ -45,11 +45,20 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
 
 /// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
 pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
-    let of_stream = |diagnosis: &PoseDiagnosis| match (&diagnosis.residual, &diagnosis.encoding) {
+    diagnosis.streams.iter().map(stream_residual_m).sum()
+}
+
+/// The same if only these shares of the streams have been compared with FK. The rest counts as 1 m, in a geometric mean.
+pub(crate) fn residual_of_shares_m(diagnosis: &ArmDiagnosis, shares: &[f64]) -> f64 {
+    let of_stream = |(found, share): (&PoseDiagnosis, &f64)| stream_residual_m(found).powf(*share);
+    diagnosis.streams.iter().zip(shares).map(of_stream).sum()
+}
+
+fn stream_residual_m(diagnosis: &PoseDiagnosis) -> f64 {
+    match (&diagnosis.residual, &diagnosis.encoding) {
         (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
         (Ok(residual), _) => residual.combined_m(),
-    };
-    diagnosis.streams.iter().map(of_stream).sum()
+    }
 }
 
 /// Whether the residual exceeds the noise, or its mean in some segment does.
