@@ -4,8 +4,11 @@
 //! All changes are fitted to the residuals of all streams, together with constant causes and link deviations. Their
 //! effect is removed from joint states and poses, and the run is diagnosed again.
 
+use super::encoding_changes::Segments;
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
+use super::large_steps::{LargeStep, LargeSteps, StepSize, large_steps};
 use super::patches::with_poses;
+use super::split_run::SplitRun;
 use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
 use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
@@ -19,8 +22,11 @@ use crate::residuals::cause_columns::{
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
-use crate::{AlignedSamples, ArmDiagnosis, Confounder, FrameEstimate, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Rotation, Vec3};
+use crate::{
+    AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, PoseDiagnosis,
+    PoseStream,
+};
+use ground::geometry::{Pose, Rotation, Vec3, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
 use ground::stream::{PoseTrack, encoder_tick};
 use nalgebra::{DMatrix, DVector};
@@ -646,42 +652,53 @@ fn unexplained_m(streams: &[Stream]) -> f64 {
 }
 
 /// `None` if the unexplained residual does not fall.
-fn remove(run: &ArmRun, before: &ArmDiagnosis, mut changes: Vec<Change>) -> Option<Removal> {
-    /// The later ones remove what constant causes had absorbed.
-    const MAX_ROUNDS: usize = 3;
+fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<Removal> {
+    let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
+    let changing = Stream::all(run, before);
+    take_from(&mut tracks, &changing, &changes);
+    let removal = Removal::new(run, before, &tracks, changes);
+    removal.explains_more_than(&changing, run).then(|| refined(run, before, removal, tracks))
+}
+
+/// Removes these changes of frames from the tracks of the streams.
+fn take_from(tracks: &mut [Option<PoseTrack>], streams: &[Stream], changes: &[Change]) {
+    for stream in streams {
+        if changes.iter().any(|change| change.subject.stream() == Some(stream.index)) {
+            tracks[stream.index] = Some(stream.steady_track(changes));
+        }
+    }
+}
+
+/// Removes from `tracks` what the diagnosis without the changes shows of them: what constant causes had absorbed.
+fn refined(
+    run: &ArmRun,
+    before: &ArmDiagnosis,
+    mut removal: Removal,
+    mut tracks: Vec<Option<PoseTrack>>,
+) -> Removal {
+    const MAX_ROUNDS: usize = 2;
     /// Of the changes so far, for another round.
     const MIN_RELATIVE_STEP: f64 = 0.02;
-    let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
-    let mut removal: Option<Removal> = None;
-    let mut more = changes.clone();
     for _ in 0..MAX_ROUNDS {
-        let current = removal.as_ref().map_or(before, |removal| &removal.after);
-        let changing = Stream::all(run, current);
-        for stream in &changing {
-            if more.iter().any(|change| change.subject.stream() == Some(stream.index)) {
-                tracks[stream.index] = Some(stream.steady_track(&more));
-            }
-        }
-        let patches = joint_patches(run, &changes);
-        let mut joints = run.joints.clone();
-        patches.iter().for_each(|patch| patch.apply(&mut joints));
-        let streams = with_tracks(run.streams, &tracks);
-        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
-        let steady = Stream::all(run, &after);
-        if steady.len() < changing.len() || unexplained_m(&steady) >= unexplained_m(&changing) {
-            break;
-        }
+        let steady = Stream::all(run, &removal.after);
+        let mut more = removal.changes.clone();
         more.iter_mut().for_each(|change| change.half.fill(0.0));
         let halves = Equations::new(&steady, &more, None).fit(&steady).halves;
         more.iter_mut().zip(halves).for_each(|(change, half)| change.half = half);
-        removal = Some(Removal { changes: changes.clone(), patches, after });
         let norm = |changes: &[Change]| -> f64 {
             changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
         };
-        if norm(&more) < MIN_RELATIVE_STEP * norm(&changes) {
+        if norm(&more) < MIN_RELATIVE_STEP * norm(&removal.changes) {
             break;
         }
+        take_from(&mut tracks, &steady, &more);
+        let mut changes = removal.changes.clone();
         changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
+        let next = Removal::new(run, before, &tracks, changes);
+        if !next.explains_more_than(&steady, run) {
+            break;
+        }
+        removal = next;
     }
     removal
 }
@@ -709,6 +726,27 @@ fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
 }
 
 impl Removal {
+    /// `tracks` are without the changes of frames.
+    fn new(
+        run: &ArmRun,
+        before: &ArmDiagnosis,
+        tracks: &[Option<PoseTrack>],
+        changes: Vec<Change>,
+    ) -> Self {
+        let patches = joint_patches(run, &changes);
+        let mut joints = run.joints.clone();
+        patches.iter().for_each(|patch| patch.apply(&mut joints));
+        let streams = with_tracks(run.streams, tracks);
+        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
+        Self { changes, patches, after }
+    }
+
+    /// Whether the same streams follow FK, with less unexplained residual.
+    fn explains_more_than(&self, before: &[Stream], run: &ArmRun) -> bool {
+        let streams = Stream::all(run, &self.after);
+        streams.len() >= before.len() && unexplained_m(&streams) < unexplained_m(before)
+    }
+
     /// The diagnosis with the changes. `None` if one of them is not significant, or a residual remains that link deviations
     /// do not explain: unknown faults of joints can look like changes.
     fn reported(self, run: &ArmRun, before: &ArmDiagnosis) -> Option<ArmDiagnosis> {
@@ -892,6 +930,66 @@ pub(crate) fn diagnose_with_cause_changes(
         return None;
     }
     remove(run, diagnosis, changed.changes)?.reported(run, diagnosis)
+}
+
+/// Diagnoses the run without the large steps between its segments, and reports them. `None` without such steps.
+pub(super) fn diagnose_with_large_steps(
+    run: &SplitRun,
+    segments: &Segments,
+    jumps: &[Jump],
+) -> Option<ArmDiagnosis> {
+    let LargeSteps { steps, tracks } = large_steps(segments, jumps, run)?;
+    let before = &segments.longest.found;
+    let of_frames = |it: &LargeStep| matches!(it.size, StepSize::Frame(..));
+    let zeros: Vec<Change> =
+        steps.iter().filter(|it| !of_frames(it)).filter_map(|it| it.change(run, None)).collect();
+    let removal = Removal::new(&run.arm, before, &tracks, zeros);
+    let streams = Stream::all(&run.arm, &removal.after);
+    let change = |it: &LargeStep| it.change(run, Some(&streams));
+    let changes: Vec<Change> = steps.iter().filter_map(change).collect();
+    if changes.len() < steps.len() {
+        return None;
+    }
+    let patches = removal.patches.clone();
+    let removal = Removal { changes, patches, after: removal.after.clone() };
+    refined(&run.arm, before, removal, tracks).reported(&run.arm, before)
+}
+
+impl LargeStep {
+    /// `None` for a frame of a stream that does not follow FK.
+    fn change(&self, run: &SplitRun, streams: Option<&[Stream]>) -> Option<Change> {
+        match self.size {
+            StepSize::Zero(column, by) => Some(Change {
+                subject: Subject::Zero { column },
+                columns: 0..1,
+                step: Some(self.jump),
+                half: DVector::from_element(1, 0.5 * by),
+            }),
+            StepSize::Frame(index, frame, turns) => {
+                let stream = streams?.iter().find(|it| it.index == index)?;
+                let FrameCorrection { reference, tool, .. } = &stream.found.frame_correction;
+                let about = Pose::from_parts(stream.columns.centre.into(), Rotation::identity());
+                let corrected = match frame {
+                    Frame::Reference => reference * about,
+                    Frame::Tool => tool.inverse(),
+                };
+                // Twists of one frame are added.
+                let [before, after] = turns.map(|turn| {
+                    let turn = corrected.inverse() * turn * corrected;
+                    let (shift, turn) =
+                        (turn.translation.vector, rotvec_from_rotation(&turn.rotation));
+                    DVector::from_iterator(6, shift.iter().chain(turn.iter()).copied())
+                });
+                let half = (after - before) * 0.5;
+                Some(Change {
+                    subject: Subject::Frame { stream: index, frame },
+                    columns: frame.columns(),
+                    step: later(Some(self.jump), run.lags[index]),
+                    half,
+                })
+            }
+        }
+    }
 }
 
 #[cfg(test)]

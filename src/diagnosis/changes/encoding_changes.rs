@@ -6,6 +6,7 @@
 
 use std::cell::LazyCell;
 
+use super::cause_changes::diagnose_with_large_steps;
 use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use super::patches::{decoded_poses, with_poses};
 use super::split_run::{Span, SplitRun};
@@ -21,7 +22,7 @@ use crate::residuals::comparison::{has_slow_residual, residual_m, restore_record
 use crate::selection::evidence::log_bayes_factor;
 use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream};
 use ground::stats::Measured;
-use ground::stream::{JointTrack, Orientations, PoseTrack};
+use ground::stream::{JointTrack, PoseTrack};
 
 /// Maximum residual of a segment, relative to the longest one's, and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
@@ -115,7 +116,10 @@ fn diagnose_with_jumps(
     diagnose: &impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
     let segments = Segments::diagnose(run, &run.split_at(jumps), residual_m(constant))?;
-    let EncodedAlike { joints, patches, tracks } = segments.encoded_alike(run)?;
+    let Some(EncodedAlike { joints, patches, tracks }) = segments.encoded_alike(run) else {
+        let after = diagnose_with_large_steps(run, &segments, jumps)?;
+        return (log_bayes_factor(&after, constant) > 0.0).then_some(after);
+    };
     let streams = with_tracks(run.arm.streams, &tracks);
     let mut after = diagnose(&ArmRun { joints: &joints, streams: &streams, ..run.arm });
     for (s, (after, stream)) in after.streams.iter_mut().zip(run.arm.streams).enumerate() {
@@ -132,14 +136,14 @@ fn diagnose_with_jumps(
     (log_bayes_factor(&after, constant) > 0.0).then_some(after)
 }
 
-struct Segment {
-    span: Span,
+pub(super) struct Segment {
+    pub span: Span,
     /// Diagnosis of the segment alone.
-    found: ArmDiagnosis,
+    pub found: ArmDiagnosis,
 }
 
-struct Segments {
-    longest: Segment,
+pub(super) struct Segments {
+    pub longest: Segment,
     /// In order of time.
     others: Vec<Segment>,
 }
@@ -199,28 +203,19 @@ impl Segments {
         is_changed.then_some(EncodedAlike { joints, patches, tracks })
     }
 
-    fn all(&self) -> Vec<&Segment> {
+    /// In order of time.
+    pub fn all(&self) -> Vec<&Segment> {
         let mut all: Vec<&Segment> = self.others.iter().chain([&self.longest]).collect();
         all.sort_by(|a, b| a.span.0.total_cmp(&b.span.0));
         all
     }
 
     fn decoded_track(&self, s: usize) -> PoseTrack {
-        let decoded = |segment: &Segment| {
-            let found = &segment.found.streams[s];
-            with_poses(found, decoded_poses(found))
-        };
-        let mut segments = self.all().into_iter().map(decoded);
-        let first = segments.next().unwrap_or_else(|| decoded(&self.longest));
-        segments.fold(first, |mut all, segment| {
-            all.t_s.extend(segment.t_s);
-            all.xyz.extend(segment.xyz);
-            if let (Orientations::Rotations(all), Orientations::Rotations(segment)) =
-                (&mut all.orientation, segment.orientation)
-            {
-                all.extend(segment);
-            }
-            all
+        let mut all = self.all().into_iter().map(|segment| segment.decoded_track(s));
+        let first = all.next().unwrap_or_else(|| self.longest.decoded_track(s));
+        all.fold(first, |mut track, next| {
+            track.append(next);
+            track
         })
     }
 
@@ -295,6 +290,11 @@ impl Segments {
 }
 
 impl Segment {
+    pub fn decoded_track(&self, s: usize) -> PoseTrack {
+        let found = &self.found.streams[s];
+        with_poses(found, decoded_poses(found))
+    }
+
     /// Whether each encoding of the other segment is determined, or the same.
     fn is_comparable(&self, other: &Segment) -> bool {
         let mut streams = self.found.streams.iter().zip(&other.found.streams);

@@ -1,13 +1,15 @@
 //! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
 //! Steps and drifts of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]). Encodings are
-//! estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]).
+//! estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]). Steps of frames and zeros too
+//! large for a linearisation are differences between the diagnoses of the parts ([`large_steps`]).
 
 mod cause_changes;
 mod change_points;
 mod constant_frames;
 mod encoding_changes;
 mod jumps;
+mod large_steps;
 mod latency_steps;
 mod patches;
 mod split_run;

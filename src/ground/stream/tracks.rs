@@ -173,6 +173,16 @@ pub struct PoseTrack {
 }
 
 impl PoseTrack {
+    /// Adds the samples of another track, of which the orientations are decoded if they are here.
+    pub fn append(&mut self, other: Self) {
+        self.t_s.extend(other.t_s);
+        self.xyz.extend(other.xyz);
+        match (&mut self.orientation, other.orientation) {
+            (Orientations::Rotations(own), Orientations::Rotations(other)) => own.extend(other),
+            (own, _) => *own = Orientations::Unset(self.xyz.len()),
+        }
+    }
+
     /// Whether any two poses differ.
     pub fn changes(&self) -> bool {
         let turns = match &self.orientation {

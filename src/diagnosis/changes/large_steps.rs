@@ -1,0 +1,228 @@
+//! Steps of frames and joint zeros that turn a segment of the run so far that a linearisation at the other segments does not
+//! show them. The diagnoses of the segments alone do.
+
+use super::encoding_changes::{Segment, Segments};
+use super::jumps::{Jump, jumps_in_joints};
+use super::split_run::SplitRun;
+use crate::residuals::cause_columns::Frame;
+use crate::{FrameCorrection, JointOffset};
+use ground::geometry::Pose;
+use ground::stream::{Orientations, PoseTrack};
+
+/// Smaller steps are found by [`super::cause_changes`].
+const MIN_STEP_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+
+/// A step at a jump.
+pub(super) struct LargeStep {
+    pub jump: Jump,
+    pub size: StepSize,
+}
+
+pub(super) enum StepSize {
+    /// Of a stream: the logged poses are turned by the first before, and by the second after, from the left or the right.
+    Frame(usize, Frame, [Pose; 2]),
+    /// Of a column: offset to the zero before, rad.
+    Zero(usize, f64),
+}
+
+/// Steps, and the decoded poses of each stream without those of its frames.
+pub(super) struct LargeSteps {
+    pub steps: Vec<LargeStep>,
+    pub tracks: Vec<Option<PoseTrack>>,
+}
+
+/// Causes of a segment.
+#[derive(Clone)]
+struct Causes {
+    /// Per stream.
+    frames: Vec<FrameCorrection>,
+    /// Per column, rad or m.
+    zeros: Vec<f64>,
+}
+
+impl Causes {
+    fn new(segment: &Segment) -> Self {
+        let zero = |offset: &JointOffset| {
+            offset.offset.as_ref().ok().filter(|_| offset.is_chosen).map_or(0.0, |it| it.value)
+        };
+        Self {
+            frames: segment.found.streams.iter().map(|found| found.frame_correction).collect(),
+            zeros: segment.found.joints.offsets.iter().map(zero).collect(),
+        }
+    }
+
+    /// With the zero of an outer joint as a turn of the frame: if the positions do not jump, they hide no lost zero.
+    fn with_outer_zeros_in_frames(mut self, run: &SplitRun) -> Self {
+        for (stream, frames) in run.arm.streams.iter().zip(&mut self.frames) {
+            let ends =
+                [(0, Frame::Reference), (stream.columns.len().saturating_sub(1), Frame::Tool)];
+            for (joint, frame) in ends {
+                let Some(&column) = stream.columns.get(joint) else { continue };
+                let Some(zero) = self.zeros.get_mut(column) else { continue };
+                let turned = |rad: f64| {
+                    let mut q = vec![0.0; stream.columns.len()];
+                    q[joint] = rad;
+                    stream.chain.forward(&q)
+                };
+                let (before, after) = (turned(0.0), turned(std::mem::take(zero)));
+                match frame {
+                    Frame::Reference => frames.reference *= after * before.inverse(),
+                    Frame::Tool => frames.tool = before.inv_mul(&after) * frames.tool,
+                }
+            }
+        }
+        self
+    }
+}
+
+/// `None` if no step is large.
+pub(super) fn large_steps(
+    segments: &Segments,
+    jumps: &[Jump],
+    run: &SplitRun,
+) -> Option<LargeSteps> {
+    let all = segments.all();
+    let of_joints = jumps_in_joints(run.arm.joints);
+    let is_in_joints = |at: &Jump| {
+        of_joints.iter().any(|own| (own.at_s - at.at_s).abs() <= own.within_s + at.within_s)
+    };
+    let mut steps = Vec::new();
+    // Of the segments so far, from the left and the right, per stream.
+    let mut turns = vec![[Pose::identity(); 2]; run.arm.streams.len()];
+    let mut tracks: Vec<Option<PoseTrack>> = vec![None; turns.len()];
+    for (at, segment) in all.iter().enumerate() {
+        if let Some(before) = at.checked_sub(1).map(|before| all[before]) {
+            let jump = *jumps.iter().find(|jump| jump.at_s == segment.span.0)?;
+            let [before, after] =
+                [before, segment].map(Causes::new).map(|causes| match is_in_joints(&jump) {
+                    true => causes,
+                    false => causes.with_outer_zeros_in_frames(run),
+                });
+            for (s, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
+                let reference = after.reference * before.reference.inverse();
+                let tool = before.tool.inv_mul(&after.tool);
+                for (frame, by) in [(Frame::Reference, reference), (Frame::Tool, tool)] {
+                    if by.rotation.angle() > MIN_STEP_RAD {
+                        let turn = &mut turns[s][frame as usize];
+                        let before = *turn;
+                        *turn = match frame {
+                            Frame::Reference => by * before,
+                            Frame::Tool => before * by,
+                        };
+                        steps.push(LargeStep {
+                            jump,
+                            size: StepSize::Frame(s, frame, [before, *turn]),
+                        });
+                    }
+                }
+            }
+            for (column, (before, after)) in before.zeros.iter().zip(&after.zeros).enumerate() {
+                let by = after - before;
+                if !run.arm.is_prismatic[column] && by.abs() > MIN_STEP_RAD {
+                    steps.push(LargeStep { jump, size: StepSize::Zero(column, by) });
+                }
+            }
+        }
+        for (s, [left, right]) in turns.iter().enumerate() {
+            let own = turned_back(segment.decoded_track(s), left, right);
+            match &mut tracks[s] {
+                Some(track) => track.append(own),
+                none => *none = Some(own),
+            }
+        }
+    }
+    (!steps.is_empty()).then_some(LargeSteps { steps, tracks })
+}
+
+fn turned_back(mut track: PoseTrack, left: &Pose, right: &Pose) -> PoseTrack {
+    let Orientations::Rotations(rotations) = &mut track.orientation else {
+        let left = left.inverse();
+        track.xyz.iter_mut().for_each(|xyz| *xyz = left.rotation * *xyz + left.translation.vector);
+        return track;
+    };
+    for (xyz, rotation) in track.xyz.iter_mut().zip(rotations) {
+        let pose = left.inv_mul(&Pose::from_parts((*xyz).into(), *rotation)) * right.inverse();
+        (*xyz, *rotation) = (pose.translation.vector, pose.rotation);
+    }
+    track
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_random::Lcg;
+    use crate::{ArmDiagnosis, diagnose_run};
+    use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+    use std::ops::Range;
+
+    /// Diagnosis of an arm that deviates by 0.1 mm, of which base, tool and a joint zero turn in mid-run.
+    fn diagnosed(base: Pose, tool: Pose, zero_rad: f64) -> ArmDiagnosis {
+        diagnosed_within(9.0..f64::INFINITY, base, tool, zero_rad)
+    }
+
+    fn diagnosed_within(span_s: Range<f64>, base: Pose, tool: Pose, zero_rad: f64) -> ArmDiagnosis {
+        const JOINT: usize = 3;
+        let (mut joints, chain) = arm();
+        let deviating = deviating_chain(1e-4);
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).zip(&joints.t_s).map(|(q, &t_s)| {
+            let fk = deviating.forward(q);
+            let turned = if span_s.contains(&t_s) { base * fk * tool } else { fk };
+            (turned.translation.vector + Vec3::from(random.triple(2e-5)), turned.rotation)
+        });
+        let (xyz, rotations) = poses.unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        for (q, t_s) in joints.q.chunks_mut(6).zip(&joints.t_s) {
+            q[JOINT] -= if span_s.contains(t_s) { zero_rad } else { 0.0 };
+        }
+        diagnose_run(&joints, &[tip_stream(&track, &chain)], &[false; 6], 1.0)
+    }
+
+    #[test]
+    fn a_tool_that_turns_and_returns_has_two_steps() {
+        let tool = pose([0.03, 0.0, -0.02], rotation_from_rotvec(Vec3::new(0.0, 1.2, 0.6)));
+        let found = diagnosed_within(6.0..13.0, Pose::identity(), tool, 0.0);
+        let changes = &found.streams[0].tool_changes;
+        let sizes: Vec<Pose> = changes.iter().map(|change| change.size.pose).collect();
+        let [away, back] = sizes.as_slice() else { panic!("{changes:?}") };
+        for (found, truth) in [(away, tool), (back, tool.inverse())] {
+            let off = found.inv_mul(&truth);
+            assert!(off.translation.vector.norm() < 1e-3, "{changes:?}");
+            assert!(off.rotation.angle() < 2e-3, "{changes:?}");
+        }
+    }
+
+    #[test]
+    fn a_base_a_tool_or_a_zero_that_turns_by_any_angle_is_measured() {
+        let turn = |rad: f64| {
+            let axis = Vec3::new(0.48, -0.6, 0.64);
+            pose([0.02, -0.05, 0.01], rotation_from_rotvec(axis * rad))
+        };
+        let none = Pose::identity();
+        for rad in [8.0_f64, 15.0, 60.0, 170.0].map(f64::to_radians) {
+            let base = diagnosed(turn(rad), none, 0.0);
+            let [change] = base.streams[0].reference_changes.as_slice() else {
+                panic!("{rad}: {:?}", base.streams[0])
+            };
+            let off = change.size.pose * turn(rad);
+            assert!(off.translation.vector.norm() < 5e-4, "{rad}: {change:?}");
+            assert!(off.rotation.angle() < 1e-3, "{rad}: {change:?}");
+
+            let tool = diagnosed(none, turn(rad), 0.0);
+            let [change] = tool.streams[0].tool_changes.as_slice() else {
+                panic!("{rad}: {:?}", tool.streams[0])
+            };
+            let off = change.size.pose.inv_mul(&turn(rad));
+            assert!(off.translation.vector.norm() < 5e-4, "{rad}: {change:?}");
+            assert!(off.rotation.angle() < 1e-3, "{rad}: {change:?}");
+
+            let zero = diagnosed(none, none, rad).joints;
+            let [change] = zero.changes.as_slice() else { panic!("{rad}: {:?}", zero.changes) };
+            let size = &change.zero.as_ref().expect("a zero").size;
+            assert_eq!(change.column, 3);
+            assert!((size.value - rad).abs() < 1e-3, "{rad}: {size:?}");
+        }
+    }
+}
