@@ -37,7 +37,8 @@
 //!    steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
 //!    deviations. `compliance` competes with both. Each corrects the run and repeats steps 4 to 6. The likeliest diagnosis
 //!    wins (`selection::evidence`). If a residual remains, `changes` looks for segments with other encodings, encodes them
-//!    like the longest one, and repeats steps 1 to 7. A run that follows FK as logged only between gaps or jumps of the
+//!    like the longest one, and repeats steps 1 to 7, or for segments in which a frame or a joint zero is turned by more
+//!    than a linearisation shows. A run that follows FK as logged only between gaps or jumps of the
 //!    numbers starts here.
 //! 8. If some streams are FK of the recorded joint states, and another is not explained or is seen from outside and shows a
 //!    joint zero, the joints are diagnosed by the others.

@@ -25,7 +25,7 @@ pub(super) enum StepSize {
     Zero(usize, f64),
 }
 
-/// Steps, and the decoded poses of each stream without those of its frames.
+/// Steps, and each stream's decoded poses without steps of its frames.
 pub(super) struct LargeSteps {
     pub steps: Vec<LargeStep>,
     pub tracks: Vec<Option<PoseTrack>>,
@@ -87,7 +87,7 @@ pub(super) fn large_steps(
         of_joints.iter().any(|own| (own.at_s - at.at_s).abs() <= own.within_s + at.within_s)
     };
     let mut steps = Vec::new();
-    // Of the segments so far, from the left and the right, per stream.
+    // Per stream, of the segments so far, from the left and the right.
     let mut turns = vec![[Pose::identity(); 2]; run.arm.streams.len()];
     let mut tracks: Vec<Option<PoseTrack>> = vec![None; turns.len()];
     for (at, segment) in all.iter().enumerate() {
@@ -156,7 +156,7 @@ mod tests {
     use ground::stream::{Orientations, PoseTrack};
     use std::ops::Range;
 
-    /// Diagnosis of an arm that deviates by 0.1 mm, of which base, tool and a joint zero turn in mid-run.
+    /// Diagnosis of an arm that deviates by 0.1 mm. Its base, its tool and a joint zero turn in mid-run.
     fn diagnosed(base: Pose, tool: Pose, zero_rad: f64) -> ArmDiagnosis {
         diagnosed_within(9.0..f64::INFINITY, base, tool, zero_rad)
     }
