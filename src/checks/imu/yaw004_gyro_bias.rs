@@ -22,7 +22,8 @@ rule! {
     /// - `vector_rad_s`: the bias in the sensor frame.
     /// - `yaw_rate_rad_s`: drift of a yaw integrated from this gyro.
     /// - `scale` (along x, y, z) and `misalignment_rad` (of y and z, x and z, x and y): not part of the
-    ///   bias; given if significant.
+    ///   bias; given if significant. If one scale explains the rates about all axes that turn, it is given three times,
+    ///   without misalignment.
     /// - `kind`: `step` or `warm-up` if the bias changes significantly. `from_vector_rad_s`,
     ///   `to_vector_rad_s`: bias before and after. `change_ns`: time of a step. `time_constant_s`: of a
     ///   warm-up. `value` is the size of the change if that reaches the threshold, otherwise the larger
@@ -81,9 +82,15 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         None => judged,
     };
     match &bias.scale_error {
-        Some(GyroScaleError { scale, misalignment_rad }) => judged
-            .with_evidence("scale", scale.map(measured_json).to_vec())
-            .with_evidence("misalignment_rad", misalignment_rad.map(measured_json).to_vec()),
+        Some(GyroScaleError { scale, misalignment_rad }) => {
+            let judged = judged.with_evidence("scale", scale.map(measured_json).to_vec());
+            match misalignment_rad {
+                Some(angles) => {
+                    judged.with_evidence("misalignment_rad", angles.map(measured_json).to_vec())
+                }
+                None => judged,
+            }
+        }
         None => judged,
     }
 }

@@ -131,8 +131,8 @@ pub struct YawWarmUp {
 pub struct GyroScaleError {
     /// Along x, y and z; positive if the gyro measures too much.
     pub scale: [Measured; 3],
-    /// Angles between y and z, x and z, x and y, per axis.
-    pub misalignment_rad: [Measured; 3],
+    /// Angles between y and z, x and z, x and y, per axis. `None` if one scale of all axes explains the rates.
+    pub misalignment_rad: Option<[Measured; 3]>,
 }
 
 /// Yaw error of an IMU apart from constant drift.

@@ -22,7 +22,7 @@ use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotv
 use ground::stats::MeasuredLength;
 use ground::stream::sample_noise;
 use nalgebra::{DMatrix, DVector, Matrix3};
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 const FLOOR_RAD_S: f64 = 1e-6;
 const MIN_WINDOW_S: f64 = 0.1;
@@ -69,7 +69,7 @@ impl Link<'_> {
             link_from_imu: self.initial_mount(lag_s, moves),
             bias_rad_s: Vec3::zeros(),
             scale_error: Matrix3::zeros(),
-            has_scale_error: false,
+            scale_columns: 0..0,
             rate_without_noise: Matrix3::identity(),
             effects: Effects::new(GyroModel::WIDTH),
             moves,
@@ -95,14 +95,19 @@ impl Link<'_> {
             [(Block::Bias, Shape::Step), (Block::Bias, Shape::Decay), (Block::Mount, Shape::Step)];
         let effects = if moves { &effects[..] } else { &effects[..2] };
         let (mut model, mut solved) = add_likeliest_effects(model, effects, GyroModel::fit);
+        let mut scale_error = None;
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
-            if model.is_scale_error_likelier() {
-                model.has_scale_error = true;
-                solved = model.fit();
+            for columns in model.likely_scale_errors() {
+                let mut scaled = GyroModel { scale_columns: columns, ..model.clone() };
+                let fit = scaled.fit();
+                scale_error = scaled.estimate_scale_error(&fit);
+                if scale_error.is_some() {
+                    (model, solved) = (scaled, fit);
+                    break;
+                }
             }
         }
-        let scale_error = model.has_scale_error.then(|| model.estimate_scale_error(&solved));
         if self.rotation_rms_rad(&model.delay) > MIN_ROTATION_RAD {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
@@ -110,7 +115,7 @@ impl Link<'_> {
         Ok(GyroFit {
             clock: model.clock.clone(),
             delay: model.delay,
-            bias: model.bias(&solved, scale_error.flatten()),
+            bias: model.bias(&solved, scale_error),
             latency_profile: match moves {
                 true => fit_profile(
                     &model.latency_samples(),
@@ -182,7 +187,8 @@ struct GyroModel<'a> {
     bias_rad_s: Vec3,
     /// Symmetric; an antisymmetric part would be a rotation and belongs to the mount.
     scale_error: Matrix3<f64>,
-    has_scale_error: bool,
+    /// Columns of the scale error. Empty without one.
+    scale_columns: Range<usize>,
     /// Maps a measured rate to its best linear estimate (Wiener filter), for the columns of the scale error.
     rate_without_noise: Matrix3<f64>,
     effects: Effects,
@@ -194,8 +200,8 @@ struct IntegratedRotation {
     first_from_last: Rotation,
     /// Derivative, about axes at the last sample, by a constant rate change.
     by_rate: Matrix3<f64>,
-    /// Derivative by each entry of the shape, with the sign of the rate's error.
-    by_scale_error: [Vec3; 6],
+    /// Derivative by each column of the scale error, with the sign of the rate's error.
+    by_scale_error: [Vec3; 7],
     /// At the first and last sample, rad/s.
     rates: [Vec3; 2],
     duration_s: f64,
@@ -203,12 +209,25 @@ struct IntegratedRotation {
 
 impl GyroModel<'_> {
     const LATENCY: usize = 0;
-    const MOUNT: std::ops::Range<usize> = 1..4;
-    const BIAS: std::ops::Range<usize> = 4..7;
-    const SCALE_ERROR: std::ops::Range<usize> = 7..13;
-    const SKEW: usize = 13;
-    const WIDTH: usize = 14;
+    const MOUNT: Range<usize> = 1..4;
+    const BIAS: Range<usize> = 4..7;
+    const SCALE_ERROR: Range<usize> = 7..13;
+    /// The same scale error of all axes.
+    const COMMON_SCALE_ERROR: usize = 13;
+    const SKEW: usize = 14;
+    const WIDTH: usize = 15;
     const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+
+    /// Scale error by each of its columns.
+    fn scale_units() -> impl Iterator<Item = Matrix3<f64>> {
+        let entry = |(row, column)| {
+            let mut unit = Matrix3::zeros();
+            unit[(row, column)] = 1.0;
+            unit[(column, row)] = 1.0;
+            unit
+        };
+        Self::SCALE_ENTRIES.into_iter().map(entry).chain([Matrix3::identity()])
+    }
 
     fn bias_at(&self, t_s: f64) -> Vec3 {
         self.bias_rad_s + self.effects.sum(Block::Bias, t_s, &Rotation::identity())
@@ -259,7 +278,7 @@ impl GyroModel<'_> {
         let mut integrated = IntegratedRotation {
             first_from_last: Rotation::identity(),
             by_rate: Matrix3::zeros(),
-            by_scale_error: [Vec3::zeros(); 6],
+            by_scale_error: [Vec3::zeros(); 7],
             rates: [rate(first), rate(last)],
             duration_s: track.t_s[last] - track.t_s[first],
         };
@@ -275,10 +294,7 @@ impl GyroModel<'_> {
             integrated.by_rate =
                 to_end * integrated.by_rate + middle_to_end.matrix() * unscale * dt;
             let sums = integrated.by_scale_error.iter_mut();
-            for (sum, (row, column)) in sums.zip(Self::SCALE_ENTRIES) {
-                let mut unit = Matrix3::zeros();
-                unit[(row, column)] = 1.0;
-                unit[(column, row)] = 1.0;
+            for (sum, unit) in sums.zip(Self::scale_units()) {
                 *sum = to_end * *sum + middle_to_end * (unscale * (unit * true_rate)) * dt;
             }
         }
@@ -288,9 +304,7 @@ impl GyroModel<'_> {
     /// Fits all free parameters. Includes a skew if it is significant.
     fn fit(&mut self) -> Solved {
         let mut free: Vec<usize> = Self::BIAS.chain(self.effects.columns()).collect();
-        if self.has_scale_error {
-            free.extend(Self::SCALE_ERROR);
-        }
+        free.extend(self.scale_columns.clone());
         if !self.moves {
             return solve(self, &free);
         }
@@ -346,28 +360,40 @@ impl GyroModel<'_> {
         measured.try_inverse().map_or_else(Matrix3::identity, |inverse| eigen.recompose() * inverse)
     }
 
-    fn is_scale_error_likelier(&self) -> bool {
+    /// Columns of scale errors that are likelier than none, the likeliest first: of each axis, or of all alike.
+    fn likely_scale_errors(&self) -> Vec<Range<usize>> {
         let Linearization { linear, t_s, .. } = self.linearize();
         let tested_with = Self::BIAS.chain(Self::MOUNT).chain([Self::LATENCY, Self::SKEW]);
         let base: Vec<(usize, f64)> =
             tested_with.chain(self.effects.columns()).map(|column| (column, 0.0)).collect();
         let tests = ExtensionTests::new(&linear, &t_s, &base, Self::MODEL_ERROR);
-        let columns: Vec<usize> = Self::SCALE_ERROR.collect();
-        tests
-            .and_then(|tests| {
-                tests.best_extension(&columns, &[vec![1.0; t_s.len()]], GYRO_SCALE_PRIOR)
-            })
-            .is_some_and(|test| test.log_bayes_factor > 0.0)
+        let common = Self::COMMON_SCALE_ERROR..Self::COMMON_SCALE_ERROR + 1;
+        let scored = [common, Self::SCALE_ERROR].into_iter().filter_map(|range| {
+            let (columns, whole): (Vec<usize>, _) =
+                (range.clone().collect(), [vec![1.0; t_s.len()]]);
+            let test = tests.as_ref()?.best_extension(&columns, &whole, GYRO_SCALE_PRIOR)?;
+            Some((range, test.log_bayes_factor))
+        });
+        let mut likely: Vec<_> = scored.filter(|(_, factor)| *factor > 0.0).collect();
+        likely.sort_by(|a, b| b.1.total_cmp(&a.1));
+        likely.into_iter().map(|(range, _)| range).collect()
     }
 
+    /// `None` if the motion does not show all of it.
     fn estimate_scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
-        let entries: Vec<Measured> = Self::SCALE_ERROR
+        if self.scale_columns.contains(&Self::COMMON_SCALE_ERROR) {
+            let common = solved.measure(Self::COMMON_SCALE_ERROR, self.scale_error[(0, 0)]).ok()?;
+            return Some(GyroScaleError { scale: [common; 3], misalignment_rad: None });
+        }
+        let entries: Vec<Measured> = self
+            .scale_columns
+            .clone()
             .zip(Self::SCALE_ENTRIES)
             .map(|(parameter, at)| solved.measure(parameter, self.scale_error[at]))
             .collect::<EstimateResult<_>>()
             .ok()?;
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
-        Some(GyroScaleError { scale: [x, y, z], misalignment_rad: [yz, xz, xy] })
+        Some(GyroScaleError { scale: [x, y, z], misalignment_rad: Some([yz, xz, xy]) })
     }
 
     fn bias(
@@ -473,7 +499,7 @@ impl Model for GyroModel<'_> {
                 rows.set(0, Self::MOUNT.start + axis, turned(before_slip * unit).into());
                 rows.set(0, Self::BIAS.start + axis, by_bias(axis).into());
             }
-            for (column, by_entry) in Self::SCALE_ERROR.zip(&integrated.by_scale_error) {
+            for (column, by_entry) in (Self::SCALE_ERROR.start..).zip(&integrated.by_scale_error) {
                 rows.set(0, column, (by_entry * per_s).into());
             }
             let middle_s = 0.5 * (from_s + to_s);
@@ -523,12 +549,12 @@ impl Model for GyroModel<'_> {
                 squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
             }
             let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
-            for (column, (row, other)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
-                squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
+            for (column, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
+                squares[(column, column)] += of_mean * unit.norm_squared();
             }
         }
         let slip = slip.map(|slip| slip.columns.clone().collect());
-        let first = [Self::SCALE_ERROR.collect(), vec![Self::SKEW], vec![Self::LATENCY]];
+        let first = [self.scale_columns.clone().collect(), vec![Self::SKEW], vec![Self::LATENCY]];
         let groups = first.into_iter().chain(slip).chain([Self::MOUNT.collect()]).collect();
         DesignNoise { squares, groups }
     }
@@ -540,11 +566,8 @@ impl Model for GyroModel<'_> {
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
         self.bias_rad_s += part(Self::BIAS.start);
         self.effects.apply(delta.as_slice());
-        for (parameter, (row, column)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
-            self.scale_error[(row, column)] += delta[parameter];
-            if row != column {
-                self.scale_error[(column, row)] += delta[parameter];
-            }
+        for (parameter, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
+            self.scale_error += unit * delta[parameter];
         }
     }
 
@@ -566,7 +589,7 @@ impl Model for GyroModel<'_> {
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
         let constant: Vec<usize> = match self.moves {
-            true => (0..Self::WIDTH).filter(|column| *column != Self::SKEW).collect(),
+            true => (0..Self::COMMON_SCALE_ERROR).collect(),
             false => Self::BIAS.collect(),
         };
         let precision = |column: usize| match Self::SCALE_ERROR.contains(&column) {
@@ -578,12 +601,13 @@ impl Model for GyroModel<'_> {
     }
 
     fn priors(&self) -> Vec<Prior> {
-        let prior = |(column, at)| Prior {
+        let prior = |column: usize| Prior {
             column,
             variance: GYRO_SCALE_PRIOR.powi(2),
-            value: self.scale_error[at],
+            value: Self::SCALE_ENTRIES
+                .get(column - Self::SCALE_ERROR.start)
+                .map_or(self.scale_error[(0, 0)], |at| self.scale_error[*at]),
         };
-        let scale = Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES).filter(|_| self.has_scale_error);
-        scale.map(prior).chain(self.effects.priors()).collect()
+        self.scale_columns.clone().map(prior).chain(self.effects.priors()).collect()
     }
 }

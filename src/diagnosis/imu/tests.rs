@@ -110,6 +110,23 @@ fn noise_that_is_correlated_in_time_is_no_scale_error() {
 }
 
 #[test]
+fn a_gain_is_estimated_also_if_the_imu_turns_about_one_axis() {
+    for moving in [0, 3, 5] {
+        let mut rng = Pcg64::seed_from_u64(7);
+        let (joints, chain) = one_joint(moving, &mut rng);
+        let mount = rotation_from_rotvec(Vec3::new(0.3, -0.4, 1.2));
+        let mut track = imu(moving, mount, &mut rng);
+        track.gyro.iter_mut().for_each(|gyro| *gyro *= 1.15);
+        let found = diagnosed_track(&joints, &chain, &track, mount);
+        let scale = found.gyro_bias.expect("a bias").scale_error.expect("a scale").scale;
+        assert!(
+            scale.iter().all(|scale| (scale.value - 0.15).abs() < scale.half_width(0.999)),
+            "joint {moving}: {scale:?}"
+        );
+    }
+}
+
+#[test]
 fn a_mount_is_not_observable_about_the_only_axis_of_motion() {
     for moving in [0, 3, 5] {
         let mount = rotation_from_rotvec(Vec3::new(0.3, -0.4, 1.2));

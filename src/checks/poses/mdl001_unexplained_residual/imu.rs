@@ -6,7 +6,7 @@ use super::MDL001;
 use crate::checks::decision::{FrameThresholds, decide};
 use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, SubjectResult, Threshold};
-use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
+use crate::diagnosis::{GyroResidual, GyroSaturation, GyroScaleError, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
@@ -60,7 +60,7 @@ fn deviations(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -
         deviations.push(format!("its orientation is off by up to {quantile} after correction"));
     }
     if let Some(GyroResidual { scale, residual: exceeding, by_fk, noise }) = proof.gyro
-        && exceeding > SHARE * by_fk
+        && (exceeding > SHARE * by_fk || (scale - 1.0).abs() > GAIN.error)
         && exceeding > 2.0 * noise
     {
         deviations.push(format!(
@@ -125,14 +125,15 @@ fn gain(
     imu: &StreamEvidence<ImuEvidence>,
     threshold: &Threshold,
 ) -> Option<SubjectResult> {
-    let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.scale_error?.scale;
+    let found = imu.diagnosis.gyro_bias.as_ref().ok()?.scale_error?;
+    let scale = found.scale;
     let worst = scale.iter().max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
     let subjects = scale.len() * case.evidence.subjects();
     let decision = decide(worst, threshold, subjects);
     if worst.value.abs() < threshold.warning {
         return None;
     }
-    let outcome = decision.into_outcome(SETTLE, |severity| reads(imu, &scale, worst, severity));
+    let outcome = decision.into_outcome(SETTLE, |severity| reads(imu, &found, worst, severity));
     let shown = |one: &Measured| json!({"value": one.value, "ci95": one.interval(0.95)});
     let judged = imu.judged(outcome).within(imu.span);
     let judged = judged.estimated(Estimate::scalar("gyro gain", GAIN.unit, worst));
@@ -141,7 +142,7 @@ fn gain(
 
 fn reads(
     imu: &StreamEvidence<ImuEvidence>,
-    scale: &[Measured; 3],
+    GyroScaleError { scale, misalignment_rad }: &GyroScaleError,
     worst: &Measured,
     severity: Severity,
 ) -> Fault {
@@ -151,6 +152,7 @@ fn reads(
     let axes = AXES.iter().zip(scale).filter(|(_, one)| shares(one)).map(|(axis, _)| *axis);
     let axes: Vec<&str> = axes.collect();
     let on = match axes.len() {
+        _ if misalignment_rad.is_none() => "the axes that turn".to_owned(),
         3 => "all axes".to_owned(),
         _ => axes.join(", "),
     };
