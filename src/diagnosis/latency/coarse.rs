@@ -16,14 +16,15 @@ use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
 const MIN_CORRELATION: f64 = 0.85;
-/// A piecewise linear profile must reduce the residual of simpler models to this fraction.
+/// A piecewise linear profile must reduce the residual of a line to this fraction. The fit of the model decides between
+/// it and steps unless these reduce its residual to this fraction, or it that of the steps.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
 /// Large latency change within the run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
-    /// Piecewise linear latency. The steps apply if the model fit rejects it.
+    /// Piecewise linear latency. The steps apply if the fit of the model rejects it.
     Ramp(LatencyRamp, Option<LatencySteps>),
 }
 
@@ -33,6 +34,14 @@ impl CoarseLatencyChange {
         match self {
             Self::Steps(steps) => steps.compensated(t_s),
             Self::Ramp(gradual, _) => gradual.compensated(t_s),
+        }
+    }
+
+    /// The steps instead of a ramp, if they fit the speeds as well.
+    pub(crate) fn or_steps(&self) -> Self {
+        match self {
+            Self::Ramp(_, Some(steps)) => Self::Steps(steps.clone()),
+            other => other.clone(),
         }
     }
 
@@ -125,12 +134,13 @@ fn detect_changes(
         .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
     // Linear growth is skew, not steps.
     let fallback = steps.filter(|_| of_steps < of_line);
-    match of_gradual
-        < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line.min(of_steps))
-    {
-        true => Some(CoarseLatencyChange::Ramp(gradual, fallback)),
-        false => fallback.map(CoarseLatencyChange::Steps),
+    let is_ramp =
+        of_gradual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line);
+    if !is_ramp || of_steps < MAX_RESIDUAL_RATIO * of_gradual {
+        return fallback.map(CoarseLatencyChange::Steps);
     }
+    let fallback = fallback.filter(|_| of_gradual > MAX_RESIDUAL_RATIO * of_steps);
+    Some(CoarseLatencyChange::Ramp(gradual, fallback))
 }
 
 #[cfg(test)]

@@ -40,13 +40,13 @@ impl CompensatedRun {
         };
         let mut changes = detect_changes(joints);
         let mut first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+        let size_m = |diagnosis: &ArmDiagnosis, changes: &[Option<CoarseLatencyChange>]| {
+            residual_of_shares_m(diagnosis, &compared_shares(joints, streams, changes))
+        };
         if changes.iter().any(Option::is_some) {
             // Misread joints change the speeds as well.
             let none = vec![None; streams.len()];
             let as_logged = diagnose_without_coarse_changes(joints, streams, &none, max_lag_s);
-            let size_m = |diagnosis: &ArmDiagnosis, changes: &[Option<CoarseLatencyChange>]| {
-                residual_of_shares_m(diagnosis, &compared_shares(joints, streams, changes))
-            };
             if size_m(&as_logged, &none) <= size_m(&first, &changes) {
                 (changes, first) = (none, as_logged);
             }
@@ -88,6 +88,14 @@ impl CompensatedRun {
                 break;
             }
             diagnosis = diagnose_without(&changes);
+        }
+        let steps_instead = changes.iter().map(|it| it.as_ref().map(CoarseLatencyChange::or_steps));
+        let steps_instead: Vec<Option<CoarseLatencyChange>> = steps_instead.collect();
+        if steps_instead != changes {
+            let stepped = diagnose_without(&steps_instead);
+            if size_m(&stepped, &steps_instead) < size_m(&diagnosis, &changes) {
+                (changes, diagnosis) = (steps_instead, stepped);
+            }
         }
         if changes.iter().all(Option::is_none)
             && let Some(profiles) = steps_beside_links(run, &diagnosis)

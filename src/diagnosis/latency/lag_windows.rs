@@ -17,8 +17,10 @@ pub(crate) fn lag_windows(
     stream: &SpeedSeries,
     max_lag_s: f64,
 ) -> Vec<LagWindow> {
+    const MIN_COMMON_SHARE: f64 = 0.5;
     const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
-    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
+    let ends_s = |speed: &SpeedSeries| Some((*speed.t_s.first()?, *speed.t_s.last()?));
+    let (Some((begin_s, end_s)), Some(stream_ends_s)) = (ends_s(arm), ends_s(stream)) else {
         return Vec::new();
     };
     let length_s =
@@ -28,7 +30,14 @@ pub(crate) fn lag_windows(
     let window = |index: usize| {
         let from_s = from_s(index);
         let own = between(arm, from_s, from_s + length_s);
-        let best = lag_peaks(&own, stream, max_lag_s).into_iter().next()?;
+        // At the ends of the run, a lag can match a short common span by chance.
+        let (first_s, last_s) = ends_s(&own)?;
+        let covers = |lag_s: f64| {
+            let common_s =
+                (last_s + lag_s).min(stream_ends_s.1) - (first_s + lag_s).max(stream_ends_s.0);
+            common_s > MIN_COMMON_SHARE * (last_s - first_s)
+        };
+        let best = lag_peaks(&own, stream, max_lag_s).into_iter().find(|it| covers(it.lag_s))?;
         let middle_s = from_s + 0.5 * length_s;
         Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
     };
