@@ -1,17 +1,22 @@
 //! Standard errors that include link deviations, which may hide in the noise.
 
 use super::fit::ArmFit;
-use crate::Measured;
 use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::State;
-use crate::selection::link_deviations::std_errors_beside_links;
+use crate::model::measurement::{PoseObservations, State};
+use crate::selection::link_deviations::{ErrorsBesideLinks, errors_beside_links};
 use crate::selection::model_selection::Cause;
+use crate::{FrameEstimate, Measured};
+use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::stats::MeasuredLength;
+use nalgebra::{DMatrix, Matrix6};
 
 /// Standard errors of zeros and radial scales. For selected ones the selected causes are free, for others also all zeros or
 /// the radial scale. Zeros that were fitted with link deviations are left out.
 #[derive(Default)]
 pub(super) struct BesideLinks {
     std_errors: Vec<(Cause, f64)>,
+    /// Per stream: covariances of the twists that move the decoded reference and tool from the right, and the left.
+    frames: Vec<[Option<Matrix6<f64>>; 2]>,
 }
 
 impl BesideLinks {
@@ -34,15 +39,21 @@ impl BesideLinks {
                 continue;
             }
             let scale = with(&|cause| *cause == Cause::RadialScale(index));
-            let [of_selected, of_zeros, of_scale] = std_errors_beside_links(
+            let [of_selected, of_zeros, of_scale] = errors_beside_links(
                 (&decoded.observations, index),
                 state,
                 &offsets,
                 [selected, &zeros, &scale],
             );
-            let others = of_zeros.into_iter().chain(of_scale);
+            let ErrorsBesideLinks { std_errors, frames: [reference, last_link] } = of_selected;
+            if !is_nominal {
+                let tool = last_link.map(|of_link| of_tool(&decoded.observations, &of_link));
+                beside.frames.resize(index, [None; 2]);
+                beside.frames.push([reference, tool]);
+            }
+            let others = of_zeros.std_errors.into_iter().chain(of_scale.std_errors);
             let others = others.filter(|(cause, _)| !selected.contains(cause));
-            let found = of_selected.into_iter().chain(others);
+            let found = std_errors.into_iter().chain(others);
             let found = found.filter(|(cause, _)| !is_nominal || is_scale(cause));
             found.for_each(|found| beside.add(found));
         }
@@ -57,10 +68,92 @@ impl BesideLinks {
         }
     }
 
+    /// A reference or tool, with the larger standard errors.
+    pub fn widen_frame(&self, cause: Cause, found: FrameEstimate) -> FrameEstimate {
+        let (stream, own) = match cause {
+            Cause::Reference(stream) => (stream, 0),
+            Cause::Tool(stream) => (stream, 1),
+            _ => return found,
+        };
+        let Some(of_twist) = self.frames.get(stream).and_then(|frames| frames[own]) else {
+            return found;
+        };
+        // The reference moves in its own axes, in which its translation from the stream is the opposite of the reported.
+        let shift = found.pose.translation.vector;
+        let turn = rotvec_from_rotation(&found.pose.rotation);
+        let lever = if own == 0 { Vec3::zeros() } else { shift };
+        let mut by_twist = Matrix6::identity();
+        by_twist.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
+        let covariance = by_twist * of_twist * by_twist.transpose();
+        let widen = |measured: Measured, vector: Vec3, at: usize| {
+            let own = covariance.fixed_view::<3, 3>(at, at).into_owned();
+            let own = DMatrix::from_column_slice(3, 3, own.as_slice());
+            let beside = MeasuredLength::estimate(vector.as_slice(), &own, measured.dof).norm;
+            Measured { std_error: measured.std_error.max(beside.std_error), ..measured }
+        };
+        FrameEstimate {
+            translation_m: widen(found.translation_m, shift, 0),
+            rotation_rad: widen(found.rotation_rad, turn, 3),
+            ..found
+        }
+    }
+
     /// `measured`, with the larger standard error.
     pub fn widen(&self, cause: Cause, measured: Measured) -> Measured {
         let own = self.std_errors.iter().find(|(own, _)| *own == cause);
         let std_error = own.map_or(0.0, |(_, std_error)| *std_error).max(measured.std_error);
         Measured { std_error, ..measured }
+    }
+}
+
+/// Covariance of the twist that moves the tip, in its own axes, from that of the last joint's link.
+fn of_tool(observations: &PoseObservations, of_link: &Matrix6<f64>) -> Matrix6<f64> {
+    let q = vec![0.0; observations.columns.len()];
+    let mut links = Vec::new();
+    observations.chain.joint_frames(&q, &mut links);
+    let Some(last) = links.last() else { return *of_link };
+    let link_from_tip = last.inv_mul(&observations.chain.forward(&q));
+    let turn = link_from_tip.rotation.inverse().to_rotation_matrix();
+    let lever = link_from_tip.translation.vector.cross_matrix();
+    let mut by_link = Matrix6::zeros();
+    by_link.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+    by_link.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(turn.matrix() * lever));
+    by_link.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+    by_link * of_link * by_link.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::diagnose_arm;
+    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_random::Lcg;
+    use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+
+    #[test]
+    fn frames_are_as_inaccurate_as_the_links() {
+        let (joints, chain) = arm();
+        let shift = Vec3::new(0.03, -0.02, 0.1);
+        let turn = rotation_from_rotvec(Vec3::new(0.2, 0.1, -0.3));
+        let tools = [Rotation::identity(), turn].map(|turn| pose(shift.into(), turn));
+        for link_m in [3e-5, 1e-4] {
+            let deviating = deviating_chain(link_m);
+            for tool in tools {
+                let mut random = Lcg::new();
+                let noisy = |q: &[f64]| {
+                    let pose = deviating.forward(q) * tool;
+                    (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+                };
+                let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
+                let orientation = Orientations::Rotations(rotations);
+                let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+                let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
+                let found = found.streams[0].tool.as_ref().expect("a tool");
+                let off = Pose::inv_mul(&found.pose, &tool).translation.vector.norm();
+                let std_error = found.translation_m.std_error;
+                assert!(off < 5.0 * std_error, "{link_m}: off by {off}, {found:?}");
+                assert!((0.3..5.0).contains(&(std_error / link_m)), "{link_m}: {found:?}");
+            }
+        }
     }
 }

@@ -616,6 +616,10 @@ fn diagnose(
                     radial_scale: found
                         .radial_scale
                         .map(|scale| beside_links.widen(Cause::RadialScale(index), scale)),
+                    reference: found
+                        .reference
+                        .map(|it| beside_links.widen_frame(Cause::Reference(index), it)),
+                    tool: found.tool.map(|it| beside_links.widen_frame(Cause::Tool(index), it)),
                     ..found
                 }
                 .without_overfitted_causes()

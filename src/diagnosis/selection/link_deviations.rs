@@ -27,7 +27,7 @@ use crate::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use ground::stats::MeasuredLength;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6};
 
 /// Minimum, maximum, ratio.
 pub(crate) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
@@ -106,21 +106,36 @@ pub(crate) fn estimate_link_deviations(
     None
 }
 
-/// Standard errors of joint zeros and radial scales, including the effect of link deviations that may hide in the noise,
-/// for each of `sets` of causes that are free together.
-pub(crate) fn std_errors_beside_links<const N: usize>(
+/// Errors of causes that are free together, including the effect of link deviations that may hide in the noise.
+#[derive(Default)]
+pub(crate) struct ErrorsBesideLinks {
+    /// Standard errors of joint zeros and radial scales.
+    pub std_errors: Vec<(Cause, f64)>,
+    /// Covariances of the twists of the reference and of the last joint's link, in their own axes. `None` unless the
+    /// reference or the tool differs from the model.
+    pub frames: [Option<Matrix6<f64>>; 2],
+}
+
+/// For each of `sets` of causes.
+pub(crate) fn errors_beside_links<const N: usize>(
     (observations, stream): (&PoseObservations, usize),
     state: &StreamState,
     offsets: &[f64],
     sets: [&[Cause]; N],
-) -> [Vec<(Cause, f64)>; N] {
+) -> [ErrorsBesideLinks; N] {
     let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
     let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
-        return sets.map(|_| Vec::new());
+        return sets.map(|_| ErrorsBesideLinks::default());
     };
     sets.map(|causes| {
         let additional = AdditionalCauses::for_stream(causes, observations, stream);
         let fits = model.fits_by_size(&additional);
+        let joints = observations.columns.len();
+        // All links between have five columns.
+        let frames = [(0, 0), (joints, 6 + 5 * joints.saturating_sub(1))].map(|(link, first)| {
+            is_free_parameter(6 * link, observations, state)
+                .then(|| fits.iter().map(|it| model.frame_covariance(it, first)).sum())
+        });
         let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
             let mean = |weight: f64, fit| Some(weight * variance(fit)?);
             fits.iter().map(|(weight, fit)| mean(*weight, fit)).sum::<Option<f64>>().map(f64::sqrt)
@@ -134,7 +149,8 @@ pub(crate) fn std_errors_beside_links<const N: usize>(
         let scale = |fit: &DeviationFit| Some(fit.covariance_columns(&[scale_at])[(scale_at, 0)]);
         let scale =
             additional.radial_scale.then(|| (Cause::RadialScale(stream), std_error(&scale)));
-        zeros.chain(scale).filter_map(|(cause, std_error)| Some((cause, std_error?))).collect()
+        let known = |(cause, std_error): (Cause, Option<f64>)| Some((cause, std_error?));
+        ErrorsBesideLinks { std_errors: zeros.chain(scale).filter_map(known).collect(), frames }
     })
 }
 
@@ -397,6 +413,23 @@ impl DeviationModel {
             mean,
             precision: cholesky,
         })
+    }
+
+    /// Share of a fit in the covariance of a frame. Its own link deviates as well. The zero of the last joint is that of the
+    /// model, because the tool may equal it.
+    fn frame_covariance(&self, (weight, fit): &(f64, DeviationFit), first: usize) -> Matrix6<f64> {
+        let last_zero = self.zero_at(self.joints.saturating_sub(1));
+        let columns: Vec<usize> = (first..first + 6).chain([last_zero]).collect();
+        let covariance = fit.covariance_columns(&columns);
+        let size_m = self.typical_size_m(&fit.sizes_m);
+        let entry = |row: usize, column: usize| {
+            let by_zero = covariance[(first + row, 6)] * covariance[(first + column, 6)]
+                / covariance[(last_zero, 6)];
+            let of_link = if row < 3 { size_m } else { size_m * RAD_PER_M };
+            let deviation = if row == column { of_link.powi(2) } else { 0.0 };
+            covariance[(first + row, column)] - by_zero + deviation
+        };
+        Matrix6::from_fn(entry) * *weight
     }
 
     /// The standard error includes the scatter of all zeros, estimated from the other joints.
