@@ -189,10 +189,10 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
     let judged = streams.iter().map(|attributed| {
-        let competitor = arm
-            .better_model
-            .as_ref()
-            .filter(|competing| competing.topic == attributed.stream.topic());
+        let competitor = arm.better_model.as_ref().filter(|competing| {
+            competing.topic == attributed.stream.topic()
+                && !fits_as_well(&attributed.stream.diagnosis, competing)
+        });
         match competitor.filter(|_| attributed.subject.frame.is_none()) {
             Some(competitor) => {
                 SubjectResult::new(attributed.subject.clone(), wrong_model(case, arm, competitor))
@@ -589,6 +589,13 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
         format!("{is} read as {was} (residual {})", Unit::Radian.show(*residual_rad))
     });
     all.into_iter().chain(encodings).collect()
+}
+
+/// Whether the named arm with its findings fits as well: if a joint turns alone, any arm does.
+fn fits_as_well(found: &PoseDiagnosis, competing: &CompetingModel) -> bool {
+    const MAX_RESIDUAL_RATIO: f64 = 2.0;
+    let max_m = MAX_RESIDUAL_RATIO * competing.residual_m;
+    found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < max_m)
 }
 
 fn wrong_model(case: &Case, arm: &ArmEvidence, competitor: &CompetingModel) -> Outcome {

@@ -113,6 +113,9 @@ fn a_competing_model_that_fits_is_the_finding() {
         residual_m: 2e-5,
         tool_m: None,
     });
+    run.robots[0].poses[0].diagnosis.residual.as_mut().unwrap().excess_m = precise(3e-5);
+    assert!(evaluate_rule(&MDL001, &run).1.is_empty(), "the named arm fits as well");
+    run.robots[0].poses[0].diagnosis.residual.as_mut().unwrap().excess_m = precise(0.02);
     let finding = evaluate_rule(&MDL001, &run).1.remove(0);
     assert!(finding.message.contains("to 20 µm with no further correction"), "{}", finding.message);
     assert!(finding.message.ends_with("only to 27.4 mm"), "{}", finding.message);
