@@ -45,6 +45,8 @@ pub struct FrameRule {
     pub is_confounder: fn(&Confounder, usize) -> bool,
     /// Zero offset of a joint with the same effect as a wrong frame, if there is one.
     pub zero: fn(&JointAxes, usize, &Pose, Tolerance) -> Option<f64>,
+    /// The joint next to the frame. If one stream alone shows the frame, the joint's zero may be wrong instead.
+    pub next_joint: fn(&JointAxes) -> Option<usize>,
     pub fault: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
@@ -115,7 +117,11 @@ fn judge_constant(
                 Some(why) => Outcome::Inconclusive(why),
                 None => {
                     let mut fault = (end.fault)(arm, stream, frame, severity);
-                    let zeros = confounders.iter().filter_map(|&(joint, _)| {
+                    let next =
+                        (end.next_joint)(&stream.joint_axes).filter(|_| arm.poses.len() == 1);
+                    let mut joints: Vec<usize> = confounders.iter().map(|it| it.0).collect();
+                    joints.extend(next.filter(|next| !joints.contains(next)));
+                    let zeros = joints.into_iter().filter_map(|joint| {
                         let tolerance = (
                             thresholds.length.warning.max(frame.translation_m.half_width(0.95)),
                             thresholds.angle.warning.max(frame.rotation_rad.half_width(0.95)),

@@ -45,6 +45,16 @@ impl JointAxes {
         Self { axes: axes.collect(), base_from_tip: chain.forward(&q) }
     }
 
+    /// Column of the joint next to the base.
+    pub fn first_column(&self) -> Option<usize> {
+        self.axes.first().map(|axis| axis.column)
+    }
+
+    /// Column of the joint next to the tip.
+    pub fn last_column(&self) -> Option<usize> {
+        self.axes.last().map(|axis| axis.column)
+    }
+
     /// Zero offset of a joint with the effect of `reference_from_stream`; `None` if no offset has it.
     pub fn zero_from_reference(
         &self,

@@ -63,6 +63,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         changes: |diagnosis| &diagnosis.reference_changes,
         is_confounder: |confounder, index| matches!(confounder, Confounder::Reference(stream, _) if *stream == index),
         zero: JointAxes::zero_from_reference,
+        next_joint: JointAxes::first_column,
         fault,
     };
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()

@@ -59,6 +59,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         changes: |diagnosis| &diagnosis.tool_changes,
         is_confounder: |confounder, index| matches!(confounder, Confounder::Tool(stream, _) if *stream == index),
         zero: JointAxes::zero_from_tool,
+        next_joint: JointAxes::last_column,
         fault,
     };
     let mut judged = frames::judge(case, &tool);
