@@ -35,13 +35,20 @@ const TIME_WORDS: &[&str] = &[
 const UNIT_WORDS: &[(&str, f64)] = &[
     ("ns", 1e-9),
     ("nsec", 1e-9),
+    ("nsecs", 1e-9),
+    ("nseconds", 1e-9),
     ("nanos", 1e-9),
+    ("nanosec", 1e-9),
+    ("nanosecs", 1e-9),
     ("nanoseconds", 1e-9),
     ("us", 1e-6),
     ("usec", 1e-6),
+    ("usecs", 1e-6),
     ("micros", 1e-6),
+    ("microseconds", 1e-6),
     ("ms", 1e-3),
     ("msec", 1e-3),
+    ("msecs", 1e-3),
     ("millis", 1e-3),
     ("milliseconds", 1e-3),
     ("s", 1.0),
@@ -89,14 +96,21 @@ pub(super) struct Clock {
 
 pub(super) fn is_time(name: &str) -> bool {
     let words = names::split_words(name);
-    let is_unit = |word: &&String| UNIT_WORDS.iter().any(|(unit, _)| unit == word);
+    let is_unit = |word: &&String| unit_by_word(word).is_some();
     let is_general = |word: &&String| ["data", "info", "value", "values"].contains(&word.as_str());
     let mut named = words.iter().rev().filter(|word| !is_general(word));
     let last = named.find(|word| !is_unit(word) || *word == "t");
+    // `seconds`, but not `s`.
+    let is_unit_alone = last.is_none() && words.iter().any(|word| word.len() > 2 && is_unit(&word));
     // DROID keeps its stamps in a group of that name.
     let is_below = name.contains('/') && words.contains(&"timestamp".to_owned());
-    (is_below || last.is_some_and(|word| TIME_WORDS.contains(&word.as_str())))
+    (is_below || is_unit_alone || last.is_some_and(|word| TIME_WORDS.contains(&word.as_str())))
         && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
+}
+
+/// In seconds.
+fn unit_by_word(word: &str) -> Option<f64> {
+    UNIT_WORDS.iter().find(|(unit, _)| *unit == word).map(|(_, unit_s)| *unit_s)
 }
 
 /// Whether a name begins with a word for times, as `time_joints` and `time_tcp` do.
@@ -237,23 +251,20 @@ fn clocks_by_name(table: &Table, without: Option<usize>) -> Vec<Clock> {
         })
         .collect();
     for (at, column) in wanted().filter(|(_, column)| column.width == 1) {
-        let Some(stem) = stem_of(&column.name, &["s", "sec", "secs", "seconds"]) else { continue };
+        let Some(stem) = stem_of(&column.name, 1.0) else { continue };
         let other = columns().find(|(_, other)| {
-            let own = stem_of(
-                &other.name,
-                &["ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"],
-            );
-            other.width == 1 && own.as_ref() == Some(&stem)
+            other.width == 1 && stem_of(&other.name, 1e-9).as_ref() == Some(&stem)
         });
         clocks.extend(other.and_then(|(other, _)| seconds_and_nanos(table, [(at, 0), (other, 0)])));
     }
     clocks
 }
 
-fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
+/// Words before the unit, if it is this one.
+fn stem_of(name: &str, unit_s: f64) -> Option<Vec<String>> {
     let mut words = names::split_words(name);
-    let unit = words.pop()?;
-    units.contains(&unit.as_str()).then_some(words)
+    let own_s = unit_by_word(&words.pop()?)?;
+    (own_s == unit_s).then_some(words)
 }
 
 /// Selects the finest clock, because a stamp in whole seconds repeats. Header stamps take precedence over
@@ -546,11 +557,8 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
         return None;
     }
     let (first, words) = (*finite.first()?, names::split_words(&column.name));
-    let by_name =
-        words.iter().rev().find_map(|word| UNIT_WORDS.iter().find(|(unit, _)| unit == word));
-    let by_name = by_name
-        .map(|(_, unit)| *unit)
-        .or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
+    let by_name = words.iter().rev().find_map(|word| unit_by_word(word));
+    let by_name = by_name.or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
     let is_whole = finite.iter().all(|value| value.fract() == 0.0);
     let rise = (finite[finite.len() - 1] - first) / (finite.len() - 1).max(1) as f64;
     let unit = unit_s.or(by_name);
@@ -642,7 +650,7 @@ impl Clock {
         let mut words = names::split_words(self.name(table).unwrap_or_default());
         words.retain(|word| {
             let word = word.as_str();
-            !TIME_WORDS.contains(&word) && UNIT_WORDS.iter().all(|(unit, _)| *unit != word)
+            !TIME_WORDS.contains(&word) && unit_by_word(word).is_none()
         });
         words.iter().map(|word| names::singular(word).to_owned()).collect()
     }

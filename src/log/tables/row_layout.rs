@@ -465,7 +465,11 @@ impl RowLayout {
                 is_arm && (is_pair || (is_rotation(item) && is_rotation(other)))
             };
             if self.items[..at].iter().any(|other| is_same(&other)) {
-                return Err((at, format!("`{}` repeats a part of the row", item.meaning)));
+                let hint = match item.meaning {
+                    Meaning::Time => "; whole seconds and nanoseconds are `s` and `ns`",
+                    _ => "",
+                };
+                return Err((at, format!("`{}` repeats a part of the row{hint}", item.meaning)));
             }
         }
         let has = |meaning: Meaning| index(&|item| item.meaning == meaning);
@@ -770,7 +774,10 @@ mod tests {
             ("t,rotvec", "character 3: a rotation needs the position"),
             ("t,x,y,z,qx,qy,qz", "character 15: a quaternion needs"),
             ("t,x,y,z,rotvec,rpy", "character 16: `euler:xyz` repeats a part"),
-            ("t,t,q[6]", "character 3: `t` repeats"),
+            (
+                "t:s,t:ns,q[6]",
+                "character 5: `t` repeats a part of the row; whole seconds and nanoseconds",
+            ),
             ("s,q[6]", "character 1: `s` and `ns` belong together"),
             ("q[6],qd[5]", "character 6: 5 velocities"),
             ("t,q[6]@50", "character 3: use either"),
