@@ -264,16 +264,34 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     let unit = |text: &str| text.trim_matches(['[', ']', '(', ')', ' ']).to_lowercase();
     let are_units =
         last.iter().all(|text| text.is_empty() || UNIT_NAMES.contains(&unit(text).as_str()));
-    match known.next().filter(|_| are_units) {
-        Some(names) if names.len() == last.len() => {
+    match known.next() {
+        Some(names) if are_units && names.len() == last.len() => {
             let with_unit = |(name, text): (String, &String)| match unit(text).as_str() {
                 "" | "-" => name,
                 unit => format!("{name} [{unit}]"),
             };
             Some(names.into_iter().zip(&last).map(with_unit).collect())
         }
-        _ => Some(last),
+        above => Some(with_headings(last, above.as_deref())),
     }
+}
+
+/// Repeated names with the headings above them, as in `Position/elbow` and `Velocity/elbow`. A merged heading is followed
+/// by empty cells.
+fn with_headings(names: Vec<String>, headings: Option<&[String]>) -> Vec<String> {
+    let Some(headings) = headings.filter(|own| own.len() == names.len()) else { return names };
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    names.iter().for_each(|name| *counts.entry(name).or_default() += 1);
+    let is_repeated = |name: &String| counts.get(name.as_str()).is_some_and(|count| *count > 1);
+    let mut heading = "";
+    let named = names.iter().zip(headings).map(|(name, own)| {
+        heading = if own.is_empty() { heading } else { own };
+        match is_repeated(name) && !name.is_empty() && !heading.is_empty() {
+            true => format!("{heading}/{name}"),
+            false => name.clone(),
+        }
+    });
+    named.collect()
 }
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
@@ -355,7 +373,9 @@ pub(super) fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
         // Names include the units below them.
         let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
-        *cell == name.as_bytes()
+        // And the headings above them.
+        let below = || name.rsplit_once('/').map_or(name, |(_, name)| name);
+        *cell == name.as_bytes() || *cell == below().as_bytes()
     };
     row.iter().zip(names).all(is_name)
 }
@@ -575,6 +595,12 @@ mod tests {
             ("0,1,2\n0.5,1.5,2.5\n0.6,1.6,2.6\n", b',', None, 3),
             ("t\tq1\tq2\t\t\n0\t1\t2\n1\t2\t3\n", b'\t', owned_names(&["t", "q1", "q2"]), 3),
             ("t\tq1\tq2\n0\t1\t2\t\t\n1\t2\t3\t\t\n", b'\t', owned_names(&["t", "q1", "q2"]), 3),
+            (
+                "of,q,,qd,\nt,a,b,a,b\n0,1,2,3,4\n",
+                b',',
+                owned_names(&["t", "q/a", "q/b", "qd/a", "qd/b"]),
+                5,
+            ),
             (
                 "t\tq1\tq2\tx\n0\t1\t2\t\n1\t2\t3\t4\n",
                 b'\t',
