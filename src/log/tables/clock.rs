@@ -542,8 +542,31 @@ fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock>
     from_sparse_column(at, column, unit_s).filter(Clock::covers_most_rows)
 }
 
+/// Seconds since 1970 of dates from 2000 to 2100 in days: since 1899-12-30 in spreadsheets, since year 0 in MATLAB.
+fn seconds_of_days(column: &Column) -> Option<Column> {
+    const DAYS_UNTIL_1970: [f64; 2] = [25_569.0, 719_529.0];
+    const DAYS_SINCE_1970: std::ops::Range<f64> = 10_957.0..47_482.0;
+    const DAY_S: f64 = 86_400.0;
+    /// Larger steps are those of seconds.
+    const MAX_STEP: f64 = 1e-4;
+    let known = || column.values.iter().filter(|value| value.is_finite());
+    let first = known().next()?;
+    let epoch = DAYS_UNTIL_1970.iter().find(|epoch| DAYS_SINCE_1970.contains(&(first - *epoch)))?;
+    let mean_step = (known().next_back()? - first) / known().count().max(2) as f64;
+    (0.0 < mean_step && mean_step < MAX_STEP).then(|| Column {
+        values: column.values.iter().map(|days| (days - epoch) * DAY_S).collect(),
+        billionths: Vec::new(),
+        ..column.clone()
+    })
+}
+
 /// The other rows may be those of other streams.
 fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
+    if let Some(seconds) = seconds_of_days(column).filter(|_| unit_s.is_none()) {
+        let clock = from_sparse_column(at, &seconds, Some(1.0))?;
+        let description = clock.description.replacen("', s", "', dates in days", 1);
+        return Some(Clock { description, unit_s: None, ..clock });
+    }
     let values = &column.values;
     let finite: Cow<'_, [f64]> = match values.iter().all(|value| value.is_finite()) {
         true => values.as_slice().into(),

@@ -529,6 +529,12 @@ fn moment(cell: &str) -> Option<f64> {
         time => (None, time),
     };
     let (clock, fraction) = match time {
+        // Spreadsheets show minutes, seconds and tenths by default.
+        [minute, second, fraction]
+            if date.is_none() && matches!(separators[..], [':', '.' | ',']) =>
+        {
+            (["0", *minute, *second], std::slice::from_ref(fraction))
+        }
         [clock, fraction @ ..] if sides(clock) == 6 => {
             ([clock.get(..2)?, clock.get(2..4)?, clock.get(4..)?], fraction)
         }
@@ -661,6 +667,7 @@ mod tests {
             ("1970-01-02T00:00:01.5Z", 86401.5),
             ("01:00:01.25", 3601.25),
             ("01:00:01:250", 3601.25),
+            ("59:01.5", 3541.5),
             ("1/2/1970 12:00:01.500 AM", 86401.5),
             ("13/01/1970 00:00:01.5", 12.0 * 86400.0 + 1.5),
             ("1/2/1970 1:00:00 PM", 86400.0 + 13.0 * 3600.0),
