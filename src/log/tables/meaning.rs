@@ -343,7 +343,52 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     groups.extend(group_matrices(table, &free(&groups)));
     groups.extend(group_numbered(table, &free(&groups)));
     groups.extend(group_by_limb_names(table, &free(&groups)));
+    if groups.is_empty() {
+        groups = group_few_joints(table, all);
+    }
     groups
+}
+
+/// Positions of fewer joints than an arm has, as a test of single joints logs them: in a table with their commands or
+/// velocities, and too few other numbers for an arm.
+fn group_few_joints(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
+    let mut families: BTreeMap<Vec<String>, BTreeMap<usize, Cell>> = BTreeMap::new();
+    let (mut others, mut has_velocities) = (0, false);
+    for &cell in all {
+        let own = name(table, cell);
+        let words = names::split_words(own);
+        let is_joint = names::is_joint_positions(&words);
+        let (stem, number) = names::numbered(own).unwrap_or_else(|| (words.clone(), 1));
+        match () {
+            () if is_joint => {
+                families.entry(stem).or_default().entry(number).or_insert(cell);
+            }
+            () if names::is_joint_velocities(&words) => has_velocities = true,
+            () if names::is_other_quantity(&words) => {}
+            () => others += 1,
+        }
+    }
+    let most = families.values().map(BTreeMap::len).max().unwrap_or(0);
+    if most.max(others) >= *JOINT_COUNTS.start() || (families.len() < 2 && !has_velocities) {
+        return Vec::new();
+    }
+    let group = |(stem, members): (Vec<String>, BTreeMap<usize, Cell>)| {
+        let cells: Vec<Cell> = members.values().copied().collect();
+        let names = members.keys().map(|number| format!("q{number}")).collect();
+        ColumnGroup {
+            topic: stem.join("_"),
+            why: describe_origin(table, &cells, "by name"),
+            cells,
+            meaning: ColumnMeaning::Joints {
+                names,
+                unnamed: true,
+                lines: Vec::new(),
+                velocities: Vec::new(),
+            },
+            part: None,
+        }
+    };
+    families.into_iter().map(group).collect()
 }
 
 /// Numbers named by row and column.
