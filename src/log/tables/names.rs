@@ -591,8 +591,7 @@ fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
         POSITION_WORDS.contains(&word)
             || ROTATION_WORDS.contains(&word)
             || UNIT_WORDS.contains(&word)
-            || word == "q"
-            || word == "r"
+            || ["q", "r", "matrix", "mat"].contains(&word)
     };
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
