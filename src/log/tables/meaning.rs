@@ -137,6 +137,7 @@ pub(super) fn identify_topics(
     groups.retain(|group| !group.cells.is_empty());
     if layout.is_none() {
         assign_velocities(table, clock, &mut groups);
+        groups.iter_mut().for_each(|group| convert_mixed_angles(table, group));
     }
     number_duplicates(&mut groups);
     if settings.pose.is_empty() && layout.is_none() {
@@ -219,6 +220,28 @@ fn further_clock<'a>(
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
+
+/// Converts each joint to rad if their names give different units.
+fn convert_mixed_angles(table: &Table, group: &mut ColumnGroup) {
+    let ColumnMeaning::Joints { lines, .. } = &mut group.meaning else { return };
+    let units =
+        group.cells.iter().map(|&cell| unit_by_name(&names::split_words(name(table, cell))));
+    let units: Option<Vec<AngleUnit>> = units.collect();
+    if let Some(units) = units.filter(|units| lines.is_empty() && differ(units)) {
+        *lines = units.iter().map(|unit| [unit.in_rad(), 0.0]).collect();
+        group.why += "; in rad and degrees, by name";
+    }
+}
+
+fn differ<T: PartialEq>(all: &[T]) -> bool {
+    all.windows(2).any(|pair| pair[0] != pair[1])
+}
+
+/// Units of a position, m, if its names give different ones.
+fn mixed_lengths_m(table: &Table, cells: &[Cell]) -> Option<Vec<f64>> {
+    let units = cells.get(..3)?.iter().map(|&cell| names::length_unit_m(name(table, cell)));
+    units.collect::<Option<Vec<f64>>>().filter(|units| differ(units))
+}
 
 /// Called if they are too large for rad; `None` if they may be degrees.
 fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
@@ -927,8 +950,22 @@ impl ColumnGroup {
             }),
         };
         let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
+        let is_position = matches!(
+            meaning,
+            ColumnMeaning::Pose | ColumnMeaning::Position | ColumnMeaning::QuaternionPose
+        );
+        let lengths_m = is_position.then(|| mixed_lengths_m(table, &cells)).flatten();
+        if lengths_m.is_some() {
+            why += "; in different units of length, by name";
+        }
+        let factor = |part: usize| {
+            lengths_m.as_ref().and_then(|units| units.get(part)).copied().unwrap_or(1.0)
+        };
         let values = || -> Vec<f64> {
-            rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
+            let row = |row: usize| {
+                cells.iter().enumerate().map(move |(part, cell)| factor(part) * at(row, cell))
+            };
+            rows.iter().flat_map(|&(at, _)| row(at)).collect()
         };
         let usable_values_of = |cell: &Cell| {
             let logged = rows.iter().map(|&(row, _)| at(row, cell));

@@ -35,6 +35,13 @@ pub(super) fn singular(word: &str) -> &str {
     word.strip_suffix('s').unwrap_or(word)
 }
 
+/// Unit of length at the end of a name, m.
+pub(super) fn length_unit_m(name: &str) -> Option<f64> {
+    let words = split_words(name);
+    let unit = LENGTH_WORDS.iter().find(|(word, _)| words.last().is_some_and(|own| own == word));
+    unit.map(|(_, unit_m)| *unit_m)
+}
+
 /// Whether a name denotes the base alone, as UR's pendant names the first joint.
 pub(super) fn is_base(name: &str) -> bool {
     let mut words = split_words(name);
@@ -283,6 +290,18 @@ const UNIT_WORDS: &[&str] = &[
     "metres",
     "millimeter",
     "millimeters",
+];
+/// Units of lengths, m.
+const LENGTH_WORDS: &[(&str, f64)] = &[
+    ("m", 1.0),
+    ("meter", 1.0),
+    ("meters", 1.0),
+    ("metre", 1.0),
+    ("metres", 1.0),
+    ("cm", 1e-2),
+    ("mm", 1e-3),
+    ("millimeter", 1e-3),
+    ("millimeters", 1e-3),
 ];
 /// Three rotation angles, in order: FANUC's W P R, KUKA's A B C, Kawasaki's O A T, Epson's U V W and
 /// textbook notations.

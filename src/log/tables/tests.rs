@@ -108,6 +108,96 @@ fn records_of_numpy_are_joints_and_times() {
     assert!(topic(&log, "q").read_as.as_ref().is_some_and(|why| why.contains("by the name")));
 }
 
+/// Rows as `trajectory_recorder` for ROS writes them.
+#[test]
+fn whole_seconds_and_nanoseconds_are_one_stamp_and_headings_distinguish_equal_names() {
+    const STAMPS: [&str; 6] = [
+        "seconds,nseconds",
+        "secs,nsecs",
+        "sec,nanosec",
+        "stamp_sec,stamp_nanosec",
+        "header.stamp.secs,header.stamp.nsecs",
+        "Sec,Nanoseconds",
+    ];
+    let joints_of = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint"];
+    let row = |row: i64| {
+        let ns = 990_000_000 + 4_000_001 * row;
+        let (sec, ns) = (1_608_307_638 + ns / 1_000_000_000, ns % 1_000_000_000);
+        format!("{sec},{ns},0.{row:02},1,2,3,4,5,6,7\n")
+    };
+    let rows: String = (0..20).map(row).collect();
+    for stamp in STAMPS {
+        let names = joints_of.join(",");
+        let text = format!(
+            "Recorded at,Fri Dec 18 17:07:18 2020\n\nTime Stamp,Time Stamp,Position,,,,Velocity,,,\n\
+            {stamp},{names},{names}\n{rows}"
+        );
+        let log = plain(text.as_bytes());
+        let (names, positions) = joints(&log, "Position");
+        assert_eq!(
+            (names, &positions[2]),
+            (joints_of.map(str::to_owned).to_vec(), &vec![0.02, 1.0, 2.0, 3.0])
+        );
+        assert_eq!(stamps(&log, "Position")[3], 1_608_307_639_002_000_003, "{stamp}");
+        let Some(Columns::Joints(read)) = &topic(&log, "Position").columns else { panic!() };
+        assert_eq!(read.joints[1].velocity[4], 5.0);
+    }
+}
+
+#[test]
+fn the_columns_of_a_single_joint_are_its_state_and_its_command() {
+    let row =
+        |row: i32| format!("{},0.1{row:02},0.2{row:02},3,4,5,6,1,0.5\n", 0.002 * f64::from(row));
+    let rows: String = (0..20).map(row).collect();
+    let log = plain(
+        format!("time,q_des,q_act,dq_des,dq_act,ddq_des,torque,stage,dq_step\n{rows}").as_bytes(),
+    );
+    for (name, position, velocity) in [("q_act", 0.202, 4.0), ("q_des", 0.102, 3.0)] {
+        let Some(Columns::Joints(read)) = &topic(&log, name).columns else { panic!("{name}") };
+        let [joint] = read.joints.as_slice() else { panic!("{name}") };
+        assert_eq!((joint.position[2], joint.velocity[2]), (position, velocity), "{name}");
+    }
+    // Nothing else is known of the numbers of the second table.
+    for names in ["time,q,a1,a2,a3,a4,a5,a6,a7", "time,q,b,c,d,e,f,g,h"] {
+        let log = plain(format!("{names}\n{rows}").as_bytes());
+        assert!(!log.topics.iter().any(|topic| topic.name == "q"
+            && topic.columns.is_some()
+            && matches!(topic.columns, Some(Columns::Joints(_)))));
+    }
+}
+
+/// Serial numbers of dates, as a spreadsheet stores them without a date format, and MATLAB's `datenum`.
+#[test]
+fn dates_in_days_are_seconds_since_1970() {
+    for epoch in [25_569.0, 719_529.0] {
+        let row = |row: i32| {
+            let days = epoch + 19_000.5 + 0.01 * f64::from(row) / 86_400.0;
+            format!("{days:.12},0,1,2,3,4,5\n")
+        };
+        let text: String = (0..50).map(row).collect();
+        let log = plain(format!("timestamp,q1,q2,q3,q4,q5,q6\n{text}").as_bytes());
+        let (own, noon) = (stamps(&log, "q"), (19_000 * 86_400 + 43_200) * NANOS_PER_SECOND);
+        assert!((own[0] - noon).abs() < 20_000 && (own[49] - noon - 490_000_000).abs() < 20_000);
+    }
+}
+
+#[test]
+fn units_in_names_may_differ_within_a_row() {
+    let names = "t,J1 [deg],J2 [deg],J3 [rad],J4 [rad],x [mm],y [mm],z [m],qx,qy,qz,qw";
+    let row = |row: i32| {
+        format!("{},180,90,1.5,0.{row:02},500,250,0.75,0,0,0,1\n", 0.01 * f64::from(row))
+    };
+    let rows: String = (0..50).map(row).collect();
+    let log = plain(format!("{names}\n{rows}").as_bytes());
+    let (_, positions) = joints(&log, "j");
+    let [first, second, third, _] = positions[0][..] else { panic!("{positions:?}") };
+    assert!(
+        (first - std::f64::consts::PI).abs() + (second - 0.5 * std::f64::consts::PI).abs() < 1e-12
+    );
+    assert_eq!(third, 1.5);
+    assert_eq!(array(&log, "pose").1[..3], [0.5, 0.25, 0.75]);
+}
+
 #[test]
 fn columns_first_and_rows_first_are_the_same_array() {
     let by_rows: Vec<u8> = (0..6).flat_map(|n| (n as f64).to_le_bytes()).collect();
