@@ -124,7 +124,7 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
-    let read = |path: &Path| match read_table(path)? {
+    let read = |path: &Path| match read_table(path, &options.read.columns)? {
         Some(table) => table.input(path, &options.run),
         None => inputs_from_log(path, options, topic),
     };

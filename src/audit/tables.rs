@@ -5,7 +5,9 @@ use std::path::Path;
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
 use crate::diagnosis::{LastTurn, PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
-use crate::log::{CalibrationTable, NumberTable, RotationColumns, read_calibration_table};
+use crate::log::{
+    CalibrationTable, ColumnSettings, NumberTable, RotationColumns, read_calibration_table,
+};
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::{Chain, LinkId, Robot};
 use crate::run::{PoseSourceKind, RunOptions};
@@ -17,8 +19,11 @@ const REST_S: f64 = 0.5;
 pub(super) const MIN_ROWS: usize = 6;
 
 /// `None` if the file is not a table.
-pub(super) fn read_table(path: &Path) -> Result<Option<ConfigurationTable>, Trouble> {
-    Ok(read_calibration_table(path)?.map(ConfigurationTable))
+pub(super) fn read_table(
+    path: &Path,
+    columns: &ColumnSettings,
+) -> Result<Option<ConfigurationTable>, Trouble> {
+    Ok(read_calibration_table(path, columns)?.map(ConfigurationTable))
 }
 
 pub(super) struct ConfigurationTable(CalibrationTable);
@@ -35,7 +40,7 @@ impl ConfigurationTable {
             return Err(trouble(
                 path,
                 what,
-                "name the columns like the model's joints, or q1, q2 and so on",
+                "name the columns like the model's joints or q1, q2 and so on, or state them with --columns",
             ));
         };
         numbers_suffice(path, numbers)?;

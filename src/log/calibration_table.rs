@@ -7,8 +7,9 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
-use super::tables::TableFormat;
-use super::{LogError, local};
+use super::tables::{LayoutTime, TableFormat};
+use super::{ColumnSettings, LogError, RowLayout, local};
+use ground::geometry::{AngleUnit, LengthScale, RotationEncoding};
 
 /// Limits in bytes and rows.
 const MAX_BYTES: u64 = 1 << 26;
@@ -73,12 +74,23 @@ const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
 /// Points measured per row.
 const MAX_POINTS: usize = 64;
 
-/// Reads the table at `path`. `None` if it is a log or has no position columns.
+/// Reads the table at `path`, by its layout in `settings` or by the names of its columns. `None` if it is a log or has no
+/// position columns.
 ///
 /// # Errors
-/// If the file cannot be opened.
-pub fn read_calibration_table(path: &Path) -> Result<Option<CalibrationTable>, LogError> {
-    Ok(read_bytes(path)?.and_then(|bytes| parse_table(&bytes)))
+/// If the file cannot be opened, or its layout does not fit.
+pub fn read_calibration_table(
+    path: &Path,
+    settings: &ColumnSettings,
+) -> Result<Option<CalibrationTable>, LogError> {
+    let Some(bytes) = read_bytes(path)? else { return Ok(None) };
+    let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
+    match (layout, parse_numbers(&bytes)) {
+        (_, None) => Ok(None),
+        (None, Some(numbers)) => Ok(by_names(numbers)),
+        (Some(layout), Some(numbers)) => by_layout(numbers, layout)
+            .map_err(|what| LogError::Layout { path: path.to_owned(), what }),
+    }
 }
 
 /// Reads a text table of numbers at `path`. `None` if it is a log, a list of records or no text.
@@ -97,10 +109,49 @@ fn read_bytes(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
     Ok(Some(bytes))
 }
 
-fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
-    let numbers = parse_numbers(bytes)?;
+fn by_names(numbers: NumberTable) -> Option<CalibrationTable> {
     let (positions, rotation) = columns(&numbers.names)?;
     Some(CalibrationTable { numbers, positions, rotation })
+}
+
+/// Names the joints by number, and converts joint positions and tool positions to rad and m if their units are declared.
+fn by_layout(
+    mut numbers: NumberTable,
+    layout: &RowLayout,
+) -> Result<Option<CalibrationTable>, String> {
+    if numbers.width() != layout.width() {
+        return Err(format!(
+            "--columns names {} columns, but its rows have {}",
+            layout.width(),
+            numbers.width()
+        ));
+    }
+    let groups = layout.groups();
+    let Some(group) = groups.iter().find(|group| !group.is_command && !group.position.is_empty())
+    else {
+        return Ok(None);
+    };
+    let position = [group.position[0], group.position[1], group.position[2]];
+    let rotation = match (group.rotation.as_slice(), group.coding) {
+        ([], _) => RotationColumns::None,
+        (&[a, b, c], _) => RotationColumns::Numbers([a, b, c]),
+        (&[w, x, y, z], Some(RotationEncoding::Wxyz)) => RotationColumns::Quaternion([x, y, z, w]),
+        (&[x, y, z, w], Some(RotationEncoding::Xyzw)) => RotationColumns::Quaternion([x, y, z, w]),
+        _ => {
+            return Err("`calibrate` needs rotations in --columns as three numbers, `quat:xyzw` or `quat:wxyz`".to_owned());
+        }
+    };
+    let joint_unit = group.joint_unit.map_or(1.0, AngleUnit::in_rad);
+    let length = group.units.length.map_or(1.0, LengthScale::in_m);
+    for row in &mut numbers.rows {
+        group.joints.iter().for_each(|&at| row[at] *= joint_unit);
+        position.iter().for_each(|&at| row[at] *= length);
+    }
+    numbers.names = vec!["_".to_owned(); layout.width()];
+    for (joint, &at) in (1..).zip(&group.joints) {
+        numbers.names[at] = format!("q{joint}");
+    }
+    Ok(Some(CalibrationTable { numbers, positions: vec![position], rotation }))
 }
 
 fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
@@ -250,10 +301,34 @@ impl NumberTable {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
 
     fn names(of: &[&str]) -> Vec<String> {
         of.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
+        parse_numbers(bytes).and_then(by_names)
+    }
+
+    #[test]
+    fn a_layout_names_the_columns_of_a_table_without_names() {
+        let numbers = || parse_numbers(b"180;90;1000;0;2000;7;1;0;0;0\n").unwrap();
+        let read = |layout: &str| by_layout(numbers(), &layout.parse().unwrap());
+        let table = read("q[2]:deg,xyz:mm,_,quat:wxyz").unwrap().unwrap();
+        assert_eq!(table.positions, [[2, 3, 4]]);
+        assert_eq!(table.rotation, RotationColumns::Quaternion([7, 8, 9, 6]));
+        let row = &table.numbers.rows[0];
+        assert_eq!(row[..5], [PI, PI / 2.0, 1.0, 0.0, 2.0]);
+        assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
+        assert_eq!(table.numbers.joints(&names(&["a", "b", "c"])), None);
+        assert_eq!(read("q[2],_[8]"), Ok(None));
+        let line = read("q[2],xyz,rot[4],_").unwrap_err();
+        assert!(line.contains("needs rotations"), "{line}");
+        let line = read("q[2],xyz").unwrap_err();
+        assert!(line.contains("--columns names 5 columns, but its rows have 10"), "{line}");
     }
 
     #[test]

@@ -359,7 +359,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
         format!(
             "{why}: end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or add `[columns]` with \
              `rate_hz = 30` to poseaudit.toml, or pass a file with the times of the {} rows as well; if each row is a \
-             configuration at rest, use `poseaudit calibrate`",
+             configuration at rest, use `poseaudit calibrate` with --columns 'q[6],xyz', without a time",
             table.rows
         )
     };

@@ -65,6 +65,7 @@ pub(super) use self::records::{
     has_times as has_record_times, is_yaml_list, looks_like_json, looks_like_yaml,
 };
 pub(super) use self::rlds::metadata_files as declared_beside;
+pub(crate) use self::row_layout::LayoutTime;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::text_encoding::is_text;

@@ -232,7 +232,7 @@ pub struct LayoutError {
 
 /// Numbers of one arm or tool, by index in the row.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct LayoutGroup {
+pub(crate) struct LayoutGroup {
     pub arm: Option<String>,
     pub is_command: bool,
     pub joints: Vec<usize>,
@@ -290,7 +290,7 @@ pub struct DeclaredPose {
 
 /// Columns of the times in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum LayoutTime {
+pub(crate) enum LayoutTime {
     Column {
         index: usize,
         unit_s: Option<f64>,
@@ -357,7 +357,7 @@ impl RowLayout {
         }
     }
 
-    pub(super) fn time(&self) -> LayoutTime {
+    pub(crate) fn time(&self) -> LayoutTime {
         let find = |meaning: Meaning| self.places().find(|(_, item)| item.meaning == meaning);
         match (find(Meaning::Time), find(Meaning::Seconds), find(Meaning::Nanoseconds)) {
             (Some((index, item)), ..) => LayoutTime::Column { index, unit_s: item.time_unit_s },
@@ -369,7 +369,7 @@ impl RowLayout {
     }
 
     /// Joints and poses of each arm.
-    pub(super) fn groups(&self) -> Vec<LayoutGroup> {
+    pub(crate) fn groups(&self) -> Vec<LayoutGroup> {
         let mut groups: Vec<LayoutGroup> = Vec::new();
         let mut quaternions: Vec<[Option<usize>; 4]> = Vec::new();
         let mut axes: Vec<[Option<usize>; 3]> = Vec::new();
