@@ -90,6 +90,8 @@ pub enum Container {
     Parquet,
     /// HDF5.
     Hdf5,
+    /// MATLAB before 7.3.
+    Matlab,
     /// Zarr, folder or zip.
     Zarr,
     /// TFRecord with TensorFlow examples.
@@ -121,6 +123,7 @@ impl Container {
             Container::Npz => "npz",
             Container::Parquet => "parquet",
             Container::Hdf5 => "hdf5",
+            Container::Matlab => "matlab",
             Container::Zarr => "zarr",
             Container::TfRecord => "tfrecord",
             Container::Rsi => "kuka-rsi",

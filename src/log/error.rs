@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use super::{Log, RemoteFault, SourceName};
 
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, \
-     Zarr, TFRecord, LeRobot, Excel, JSON, YAML, MATLAB 7.3, TUM, EuRoC, KITTI, KUKA RSI";
+     Zarr, TFRecord, LeRobot, Excel, JSON, YAML, MATLAB, TUM, EuRoC, KITTI, KUKA RSI";
 
 /// What to do about [`LogError::PoseTimes`].
 pub const POSE_TIMES_REMEDY: &str = "also pass the times file of the sequence (a time in s per pose), store \

@@ -40,11 +40,6 @@ const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
         "fetch it with `git lfs pull`",
     ),
     (ZIP_MAGIC, "a zip archive", UNPACK),
-    (
-        b"MATLAB 5.0 MAT-file",
-        "a MATLAB file of a version before 7.3",
-        "save it with save('run.mat', '-v7.3'), or convert it with scipy.io.loadmat and numpy.savez",
-    ),
     (b"\xd0\xcf\x11\xe0", "an Office file in the format before 2007", "save it as .xlsx or CSV"),
 ];
 
@@ -54,6 +49,7 @@ const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
     (ZSTD_MAGIC, FileFormat::Zstd),
     (b"PAR1", FileFormat::Table(tables::TableFormat::Parquet)),
     (HDF5_MAGIC, FileFormat::Table(tables::TableFormat::Hdf5)),
+    (tables::MATLAB_MAGIC, FileFormat::Table(tables::TableFormat::Matlab)),
     (NPY_MAGIC, FileFormat::Table(tables::TableFormat::Npy)),
 ];
 

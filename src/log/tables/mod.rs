@@ -10,6 +10,7 @@ mod csv;
 mod file_names;
 mod hdf5;
 mod lerobot;
+mod matlab;
 mod meaning;
 mod names;
 mod npy;
@@ -58,6 +59,7 @@ pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
+pub(super) use self::matlab::MAGIC as MATLAB_MAGIC;
 pub(super) use self::meaning::LayoutColumns;
 pub use self::names::COMMAND_WORDS;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
@@ -220,6 +222,8 @@ pub(super) enum TableFormat {
     Npz,
     Parquet,
     Hdf5,
+    /// MATLAB before 7.3.
+    Matlab,
     Csv,
     Tum,
     Kitti,
@@ -241,6 +245,7 @@ impl TableFormat {
             Self::Npz => Container::Npz,
             Self::Parquet => Container::Parquet,
             Self::Hdf5 => Container::Hdf5,
+            Self::Matlab => Container::Matlab,
             Self::Csv => Container::Csv,
             Self::Tum => Container::Tum,
             Self::Kitti => Container::Kitti,
@@ -349,6 +354,7 @@ impl Tables {
         let read = match kind {
             TableFormat::Npy => npy::read_npy(bytes, context),
             TableFormat::Npz => npy::read_npz(bytes, context),
+            TableFormat::Matlab => matlab::read(bytes, context),
             TableFormat::Csv => csv::read(bytes, context),
             TableFormat::Xlsx => xlsx::read(bytes, context),
             TableFormat::Json => records::read_json(bytes, context),

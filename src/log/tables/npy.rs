@@ -177,6 +177,46 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     Ok(tables.into_iter().map(|table| ("0".to_owned(), table)).collect())
 }
 
+/// An array of another format, with its numbers.
+pub(super) struct RawArray {
+    pub name: String,
+    pub element: ElementType,
+    pub sides: Vec<usize>,
+    pub is_fortran: bool,
+    pub data: Vec<u8>,
+}
+
+/// Tables of arrays with the same number of rows. The bytes of the arrays are reserved.
+pub(super) fn tables_of_arrays(
+    arrays: Vec<RawArray>,
+    rate_hz: Option<f64>,
+    mut unread: Vec<(String, String)>,
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let shapes: Vec<Vec<usize>> = arrays.iter().map(|array| array.sides.clone()).collect();
+    let common = row_counts(&shapes);
+    let mut candidates = Vec::new();
+    for RawArray { name, element, sides, is_fortran, data } in arrays {
+        let fields = vec![(String::new(), element, 0, 1)];
+        let header = Header { fields, row_bytes: element.size, shape: sides, is_fortran };
+        match NpyArray::new(&name, header, data.len(), &common) {
+            Ok(array) => match array.columns(&data, context.memory) {
+                Ok(columns) => candidates.extend(columns),
+                Err(why) => candidates.push(ReadColumn::unreadable(&name, array.rows, why)),
+            },
+            Err(why) => unread.push((name.clone(), why.to_string())),
+        }
+        context.memory.release(data.len() / 8);
+    }
+    if candidates.is_empty() {
+        return Err("it contains no array of numbers".into());
+    }
+    let mut tables = Table::by_row_count(candidates, context.memory);
+    tables[0].rate_hz = rate_hz;
+    tables[0].unread.extend(unread);
+    Ok(tables.into_iter().map(|table| ("0".to_owned(), table)).collect())
+}
+
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 
 fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, TableError> {

@@ -512,3 +512,45 @@ proptest::proptest! {
         }
     }
 }
+
+/// Written by `scipy.io.savemat`: `t` of 1 by 20, and a struct `log` with `q` of 6 by 20, `tcp_pose` of 4 by 4 by 20, text
+/// and a mode; and a cell array.
+const VARIABLES: [&[u8]; 2] = [
+    include_bytes!("../fixtures/variables.mat"),
+    include_bytes!("../fixtures/variables_compressed.mat"),
+];
+
+#[test]
+fn variables_of_matlab_are_arrays_and_fields_of_structs_are_paths() {
+    for file in VARIABLES {
+        let log = plain(file);
+        let (_, rows) = joints(&log, "log/q");
+        assert_eq!((rows.len(), rows[3].len()), (20, 6));
+        assert!((rows[3][5] - 0.053).abs() < 1e-12, "{:?}", rows[3]);
+        assert_eq!(stamps(&log, "log/q")[5], 50_000_000);
+        let (width, poses) = array(&log, "log/tcp_pose");
+        assert_eq!(width, 16);
+        // By columns.
+        assert!((poses[16 * 7 + 12] - 0.7).abs() < 1e-12 && poses[16 * 7 + 15] == 1.0);
+        for (name, why) in [("log/note", "text"), ("gains", "a cell array")] {
+            assert!(
+                topic(&log, name).unusable.as_ref().is_some_and(|own| own.contains(why)),
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn truncated_and_changed_files_of_matlab_are_one_line_or_losses() {
+    for file in VARIABLES {
+        for end in (0..file.len()).step_by(61) {
+            let _ = read(&file[..end], ColumnSettings::default());
+            let mut changed = file.to_vec();
+            changed[end] ^= 0xff;
+            let _ = read(&changed, ColumnSettings::default());
+        }
+        let cut = read(&file[..file.len() - 40], ColumnSettings::default()).expect("the rest");
+        assert!(cut.losses.iter().any(|loss| loss.what.contains("variable")), "{:?}", cut.losses);
+    }
+}

@@ -1,0 +1,244 @@
+//! MATLAB's `.mat` files of versions 5 to 7, as `save` writes them by default. Version 7.3 is HDF5.
+//!
+//! Format: MathWorks, *MAT-File Format*, level 5. A file is a header and data elements; a variable is an element of
+//! elements, which may be compressed. Fields of structs become paths.
+
+use std::io::Read;
+
+use flate2::read::ZlibDecoder;
+
+use super::npy::{ElementType, RawArray, tables_of_arrays};
+use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, RATE_NAMES, ReadContext, TableError};
+use crate::memory_budget::MemoryBudget;
+
+pub(crate) const MAGIC: &[u8] = b"MATLAB 5.0 MAT-file";
+const HEADER_BYTES: usize = 128;
+/// Types of elements.
+const MATRIX: u32 = 14;
+const COMPRESSED: u32 = 15;
+/// Classes of matrices.
+const STRUCT: u32 = 2;
+const NUMERIC: std::ops::RangeInclusive<u32> = 6..=15;
+const COMPLEX_FLAG: u32 = 0x800;
+
+#[derive(Default)]
+struct Variables {
+    arrays: Vec<RawArray>,
+    rate_hz: Option<f64>,
+    unread: Vec<(String, String)>,
+}
+
+pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let (header, content) =
+        bytes.split_at_checked(HEADER_BYTES).ok_or("truncated within its header")?;
+    let is_big = header.ends_with(b"MI");
+    let mut found = Variables::default();
+    let mut elements = Elements { bytes: content, is_big };
+    while let Some(element) = elements.next() {
+        let read = element.and_then(|element| found.add_variable(element, is_big, context.memory));
+        if let Err(why) = read {
+            why.report(None, context.losses);
+        }
+        if found.arrays.len() > MAX_COLUMNS {
+            let what = format!("more than {MAX_COLUMNS} arrays; the others are not read");
+            TableError::from(what).report(None, context.losses);
+            break;
+        }
+    }
+    let Variables { arrays, rate_hz, unread } = found;
+    tables_of_arrays(arrays, rate_hz, unread, context)
+}
+
+#[derive(Clone, Copy)]
+struct Element<'a> {
+    kind: u32,
+    data: &'a [u8],
+}
+
+struct Elements<'a> {
+    bytes: &'a [u8],
+    is_big: bool,
+}
+
+impl<'a> Iterator for Elements<'a> {
+    type Item = Result<Element<'a>, TableError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        /// Type and size.
+        const TAG_BYTES: usize = 8;
+        if self.bytes.is_empty() {
+            return None;
+        }
+        let cut = |elements: &mut Self| {
+            elements.bytes = &[];
+            Some(Err("truncated within a variable".into()))
+        };
+        let Some((tag, rest)) = self.bytes.split_at_checked(TAG_BYTES) else { return cut(self) };
+        let [first, size] = [&tag[..4], &tag[4..]].map(|word| number(word, self.is_big));
+        // Up to four bytes are within the tag.
+        if let (kind, small @ 1..=4) = (first & 0xffff, (first >> 16) as usize) {
+            self.bytes = rest;
+            return Some(Ok(Element { kind, data: &tag[4..4 + small] }));
+        }
+        let Some(data) = rest.get(..size as usize) else { return cut(self) };
+        let padded = match first {
+            COMPRESSED => data.len(),
+            _ => data.len().next_multiple_of(TAG_BYTES),
+        };
+        self.bytes = rest.get(padded..).unwrap_or_default();
+        Some(Ok(Element { kind: first, data }))
+    }
+}
+
+/// Of four bytes.
+fn number(bytes: &[u8], is_big: bool) -> u32 {
+    let bytes = <[u8; 4]>::try_from(bytes).unwrap_or_default();
+    if is_big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
+}
+
+impl Variables {
+    fn add_variable(
+        &mut self,
+        element: Element<'_>,
+        is_big: bool,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        match element.kind {
+            MATRIX => self.add_matrix(element.data, is_big, "", 0, memory),
+            COMPRESSED => {
+                let unpacked = unpack(element.data, is_big, memory)?;
+                let mut inner = Elements { bytes: &unpacked, is_big };
+                match inner.next() {
+                    Some(Ok(Element { kind: MATRIX, data })) => {
+                        self.add_matrix(data, is_big, "", 0, memory)
+                    }
+                    Some(Err(why)) => Err(why),
+                    _ => Ok(()),
+                }
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// `path` names a field of a struct; variables have their own names.
+    fn add_matrix(
+        &mut self,
+        data: &[u8],
+        is_big: bool,
+        path: &str,
+        depth: usize,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let mut elements = Elements { bytes: data, is_big };
+        let mut next = || -> Result<Element<'_>, TableError> {
+            elements.next().unwrap_or_else(|| Err("truncated within a variable".into()))
+        };
+        // An empty field of a struct has no elements.
+        if data.is_empty() {
+            return Ok(());
+        }
+        let flags = next()?.data.get(..4).map_or(0, |word| number(word, is_big));
+        let sides = next()?.data.chunks_exact(4).map(|word| number(word, is_big) as usize);
+        let sides: Vec<usize> = sides.collect();
+        let own = next()?.data;
+        let name = match path {
+            "" => String::from_utf8_lossy(own).into_owned(),
+            path => path.to_owned(),
+        };
+        let count = sides.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        let class = flags & 0xff;
+        let why = match class {
+            _ if count == Some(0) => return Ok(()),
+            STRUCT if count == Some(1) && depth < MAX_DEPTH => {
+                let width = next()?.data.get(..4).map_or(0, |word| number(word, is_big) as usize);
+                let fields = next()?.data.chunks_exact(width.max(1));
+                for field in fields {
+                    let field = field.split(|byte| *byte == 0).next().unwrap_or_default();
+                    let path = format!("{name}/{}", String::from_utf8_lossy(field));
+                    self.add_matrix(next()?.data, is_big, &path, depth + 1, memory)?;
+                }
+                return Ok(());
+            }
+            STRUCT => "an array of structs, not numbers; save the numbers of its fields as arrays",
+            1 => "a cell array, not numbers",
+            4 => "text, not numbers",
+            5 => "a sparse matrix; save it as a full one",
+            _ if !NUMERIC.contains(&class) => {
+                "an object, such as a table or timeseries, not numbers; save its numbers as arrays"
+            }
+            _ if flags & COMPLEX_FLAG != 0 => "complex numbers",
+            _ => {
+                let Element { kind, data } = next()?;
+                return self.add_array(name, sides, element_type(kind, is_big), data, memory);
+            }
+        };
+        self.unread.push((name, why.to_owned()));
+        Ok(())
+    }
+
+    fn add_array(
+        &mut self,
+        name: String,
+        mut sides: Vec<usize>,
+        element: Option<ElementType>,
+        data: &[u8],
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let Some(element) = element else {
+            self.unread.push((name, "numbers of an unknown type".to_owned()));
+            return Ok(());
+        };
+        if sides.iter().all(|side| *side == 1) {
+            let value = (data.len() >= element.size()).then(|| element.read(data));
+            let rate = value.filter(super::is_rate);
+            let is_rate = RATE_NAMES.contains(&name.to_lowercase().as_str());
+            self.rate_hz = rate.filter(|_| is_rate).or(self.rate_hz);
+            return Ok(());
+        }
+        // Numbers are stored by columns. The pages of a three-dimensional array are its rows.
+        let is_fortran = sides.len() < 3;
+        match sides.as_slice() {
+            &[1, count] => sides = vec![count],
+            [_, _] => {}
+            _ => sides.reverse(),
+        }
+        memory.reserve_bytes(data.len() as u64)?;
+        self.arrays.push(RawArray { name, element, sides, is_fortran, data: data.to_vec() });
+        Ok(())
+    }
+}
+
+/// The size of the element within is in its tag.
+fn unpack(packed: &[u8], is_big: bool, memory: &MemoryBudget) -> Result<Vec<u8>, TableError> {
+    let unpacked = |most: u64| -> Result<Vec<u8>, TableError> {
+        let mut content = Vec::new();
+        ZlibDecoder::new(packed)
+            .take(most)
+            .read_to_end(&mut content)
+            .map_err(|error| format!("a variable cannot be unpacked: {error}"))?;
+        Ok(content)
+    };
+    let tag = unpacked(8)?;
+    let size = tag.get(4..).map_or(0, |word| number(word, is_big));
+    let needed = u64::from(size).saturating_add(8);
+    memory.check_available(needed)?;
+    unpacked(needed)
+}
+
+/// Of a stored type, which may be smaller than the variable's.
+fn element_type(kind: u32, is_big: bool) -> Option<ElementType> {
+    let name = match kind {
+        1 => "i1",
+        2 => "u1",
+        3 => "i2",
+        4 => "u2",
+        5 => "i4",
+        6 => "u4",
+        7 => "f4",
+        9 => "f8",
+        12 => "i8",
+        13 => "u8",
+        _ => return None,
+    };
+    ElementType::parse(&format!("{}{name}", if is_big { '>' } else { '<' }))
+}
