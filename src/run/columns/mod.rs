@@ -470,7 +470,13 @@ impl<'a> ColumnSearch<'a> {
                     let found = blocks.iter().find(is_it);
                     found.is_some_and(|block| self.are_alike(&block.joints))
                 };
+                // The one number more is the gripper, last or first.
+                let is_gripper_first = || {
+                    let is_moving = |at: usize| table.content(at, &[]) != ColumnContent::Constant;
+                    !is_moving(first) && is_moving(first + dof)
+                };
                 let each = match width {
+                    width if width == dof + 1 && is_gripper_first() => vec![first + 1],
                     width if width == dof || width == dof + 1 => vec![first],
                     width if width == 2 * dof => vec![first, first + dof],
                     width if width == 2 * (dof + 1) => vec![first, first + dof + 1],
