@@ -17,6 +17,7 @@ use crate::evidence::{
     ArmEvidence, ImuEvidence, PoseEvidence, RunEvidence, StreamEvidence, frame_of_several,
 };
 use crate::finding::Finding;
+use crate::geometry::Pose;
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
@@ -114,7 +115,18 @@ fn pose_figure(
 ) -> PoseFigure {
     let found = &facts.diagnosis;
     let aligned = &found.aligned;
-    let before = if facts.reference_known { aligned.before() } else { PoseDistances::default() };
+    let mut before =
+        if facts.reference_known { aligned.before() } else { PoseDistances::default() };
+    // Nobody declared that bare numbers are metres.
+    if let (true, false, Ok(Some(unit))) =
+        (facts.is_undeclared, before.m.is_empty(), &found.length_unit)
+    {
+        let pairs = aligned.logged.iter().zip(&aligned.fk);
+        let distance_m = |(logged, fk): (&Pose, &Pose)| {
+            (unit.factor() * logged.translation.vector - fk.translation.vector).norm()
+        };
+        before.m = pairs.map(distance_m).collect();
+    }
     let after = aligned.after();
     let stream = clock.run.pose_stream(source);
     let valley = match plots {
