@@ -91,6 +91,47 @@ pub(super) fn remove_frozen(
 }
 
 impl PoseSource {
+    /// Spans with one value while the arm moves at each of `lags_s`.
+    fn frozen_at_lags(&self, joints: &JointTrack, lags_s: &[f64]) -> Vec<FrozenSamples> {
+        let rests = rest_limits(joints);
+        let of = |(first, last): (usize, usize)| {
+            let hold = (self.track.t_s[first], self.track.t_s[last]);
+            let moved = motion_at_lags(joints, (&self.columns, &rests), hold, lags_s)?;
+            (moved > 0.0).then_some((first, last, moved))
+        };
+        constant_spans(&self.track).into_iter().filter_map(of).collect()
+    }
+
+    /// Its track without the spans in which it is stuck: it repeats one value while the arm moves at each of `lags_s`,
+    /// then jumps. An object at rest that the arm picks up does not jump. `None` without such a span, or if little
+    /// would remain.
+    pub fn track_without_stuck_spans(
+        &self,
+        joints: &JointTrack,
+        lags_s: &[f64],
+    ) -> Option<PoseTrack> {
+        /// Ratio of the jump to the next steps, and their number.
+        const MIN_STEP_RATIO: f64 = 5.0;
+        const STEPS: usize = 10;
+        let xyz = &self.track.xyz;
+        let step = |row: usize| (xyz[row] - xyz[row - 1]).norm();
+        let jumps = |&(_, last, _): &FrozenSamples| {
+            let next = last + 2..(last + 2 + STEPS).min(xyz.len());
+            let longest = next.clone().map(step).fold(0.0, f64::max);
+            !next.is_empty() && step(last + 1) > MIN_STEP_RATIO * longest
+        };
+        let mut stuck = self.frozen_at_lags(joints, lags_s);
+        stuck.retain(jumps);
+        let kept = kept_samples(&self.track, &stuck);
+        let left = kept.iter().filter(|kept| **kept).count();
+        if stuck.is_empty() || 2 * left < kept.len() {
+            return None;
+        }
+        let mut track = self.track.clone();
+        retain_samples(&mut track, &kept);
+        Some(track)
+    }
+
     /// Whether it repeats a value for a long time.
     pub fn has_constant_span(&self) -> bool {
         !constant_spans(&self.track).is_empty()
@@ -131,32 +172,30 @@ impl Run {
     /// Removes repeats while the arm moves at each of `lags_s`, the possible lags of the source.
     pub fn remove_frozen_at_lags(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
-        let PoseSource { stream, track, columns, .. } = &mut poses[source];
-        let holds = constant_spans(track);
-        if holds.is_empty() {
-            return;
-        }
-        let mut kept = vec![true; track.t_s.len()];
-        let rests = rest_limits(joints);
+        let source = &mut poses[source];
+        let found = source.frozen_at_lags(joints, lags_s);
         let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
-        for (first, last) in holds {
-            let hold = (track.t_s[first], track.t_s[last]);
-            let moved = motion_at_lags(joints, (columns, &rests), hold, lags_s).unwrap_or(0.0);
-            if moved <= 0.0 {
-                continue;
-            }
-            self.frozen.push(FrozenSpan {
-                stream: *stream,
-                start: stamp(hold.0),
-                end: stamp(hold.1),
-                samples: last + 1 - first,
-                is_whole_stream: false,
-                joint_motion: moved,
-            });
-            kept[first + 1..=last].fill(false);
-        }
-        retain_samples(track, &kept);
+        self.frozen.extend(found.iter().map(|&(first, last, joint_motion)| FrozenSpan {
+            stream: source.stream,
+            start: stamp(source.track.t_s[first]),
+            end: stamp(source.track.t_s[last]),
+            samples: last + 1 - first,
+            is_whole_stream: false,
+            joint_motion,
+        }));
+        let kept = kept_samples(&source.track, &found);
+        retain_samples(&mut source.track, &kept);
     }
+}
+
+/// First and last sample of a span, and the motion of the fastest joint.
+type FrozenSamples = (usize, usize, f64);
+
+/// All but the repeats within spans.
+fn kept_samples(track: &PoseTrack, spans: &[FrozenSamples]) -> Vec<bool> {
+    let mut kept = vec![true; track.t_s.len()];
+    spans.iter().for_each(|&(first, last, _)| kept[first + 1..=last].fill(false));
+    kept
 }
 
 fn rest_limits(joints: &JointTrack) -> Vec<f64> {

@@ -94,12 +94,37 @@ pub(crate) fn common_diagnosis_count(arm: &Arm) -> usize {
     (0..arm.poses.len().min(MAX_COMMON_STREAMS)).take_while(|index| !is_copy(index)).count()
 }
 
-/// Removes repeated poses at the lags at which streams may follow the moving arm.
-fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
+/// Lags at which a stream with constant spans may follow the moving arm; empty if none.
+fn likely_lags(arm: &Arm, stream: &PoseStream, max_lag_s: f64) -> Vec<f64> {
     /// Minimum speed correlation to trust the lag.
     const MIN_CORRELATION: f64 = 0.3;
     /// Minimum correlation at other lags, as a share of the best.
     const MIN_CORRELATION_RATIO: f64 = 0.7;
+    let peaks = candidate_lags(&arm.joints, stream, max_lag_s);
+    let best = peaks.first().map_or(0.0, |peak| peak.correlation);
+    let is_likely = |peak: &&LagPeak| {
+        best >= MIN_CORRELATION && peak.correlation >= MIN_CORRELATION_RATIO * best
+    };
+    peaks.iter().filter(is_likely).map(|peak| peak.lag_s).collect()
+}
+
+/// Highest speed correlation of a stream with its arm, apart from spans in which the stream is stuck.
+fn follower_peak(run: &Run, arm: &Arm, source: &PoseSource, max_lag_s: f64) -> Option<LagPeak> {
+    let stream = run.pose_stream(source);
+    let peak = best_lag_peak(&arm.joints, &stream, max_lag_s)?;
+    if !source.has_constant_span() {
+        return Some(peak);
+    }
+    let lags_s = likely_lags(arm, &stream, max_lag_s);
+    let moving = source.track_without_stuck_spans(&arm.joints, &lags_s);
+    let without_stuck = moving.and_then(|track| {
+        best_lag_peak(&arm.joints, &PoseStream { track: &track, ..stream }, max_lag_s)
+    });
+    without_stuck.filter(|other| other.correlation > peak.correlation).or(Some(peak))
+}
+
+/// Removes repeated poses at the lags at which streams may follow the moving arm.
+fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
@@ -107,14 +132,7 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             if found.moving_base.is_some() || !found.has_constant_span() {
                 continue;
             }
-            let peaks = candidate_lags(&of.joints, &run.pose_stream(found), max_lag_s);
-            let best = peaks.first().map_or(0.0, |peak| peak.correlation);
-            if best < MIN_CORRELATION {
-                continue;
-            }
-            let likely =
-                peaks.iter().filter(|peak| peak.correlation >= MIN_CORRELATION_RATIO * best);
-            let lags_s: Vec<f64> = likely.map(|peak| peak.lag_s).collect();
+            let lags_s = likely_lags(of, &run.pose_stream(found), max_lag_s);
             run.remove_frozen_at_lags(arm, source, &lags_s);
         }
     }
@@ -216,7 +234,7 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
     }
     let lag_of = |&candidate: &usize| {
         let (arm, source) = pose_source(run, &places, candidate)?;
-        Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), max_lag_s)))
+        Some((candidate, follower_peak(run, arm, source, max_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = LagCache { max_lag_s, poses, imus: BTreeMap::new() };
