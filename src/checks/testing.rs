@@ -14,8 +14,8 @@ use crate::diagnosis::{
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointAxes, JointEvidence, JointMotion,
-    PoseEvidence, ReferenceEvidence, RunEvidence, StreamEvidence, TipPoseKind, TipPoseSource,
-    VibrationEvidence,
+    JointStamps, PoseEvidence, ReferenceEvidence, RunEvidence, StreamEvidence, TipPoseKind,
+    TipPoseSource, VibrationEvidence,
 };
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -137,6 +137,7 @@ pub fn clean_run() -> RunEvidence {
         is_trajectory: false,
         joint_clock: None,
         joint_topic: None,
+        stamps: JointStamps::default(),
         has_unknown_units: false,
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),

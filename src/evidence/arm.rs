@@ -7,6 +7,7 @@ use super::commands::{ReferenceEvidence, references};
 use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
 use super::joint_axes::JointAxes;
 use super::joint_clock::samples_with_true_stamps;
+use super::joint_stamps::{JointStamps, joint_stamps};
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{
     DeclaredUnits, ImuEvidence, PoseEvidence, euler, named_units, unidentified_columns,
@@ -36,6 +37,8 @@ pub struct ArmEvidence {
     pub joint_clock: Option<LatencyProfile>,
     /// Latency of one topic of joint states against another, whose name follows.
     pub joint_topic: Option<(StreamEvidence<Measured>, String)>,
+    /// What positions and velocities show of the joint states' stamps.
+    pub stamps: JointStamps,
     /// The unit of its positions is unknown: columns of a table, without a model.
     pub has_unknown_units: bool,
     /// First and last stamp of the joint states.
@@ -286,7 +289,9 @@ pub(super) fn arm_evidence(
         samples.iter_mut().for_each(|joint| *joint = samples_with_true_stamps(joint, profile));
     }
     let change_points = change_points(&found, arm.joint_sources.len());
-    let mut velocities = velocities(&samples, &change_points);
+    let (stamps, at_true_times) = joint_stamps(&samples);
+    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
+    let mut velocities = velocities(at_true_times, &change_points);
     if found.partial_encoding.is_some() {
         let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
         velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));
@@ -373,6 +378,7 @@ pub(super) fn arm_evidence(
             let other = run.streams[late.other].topic.clone();
             (arm_stream_evidence(run, arm, late.stream, late.latency_s), other)
         }),
+        stamps,
         has_unknown_units: false,
         span: span_or_run(run, joints_stream),
         joints,

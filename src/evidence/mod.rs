@@ -7,6 +7,7 @@ mod estimate;
 mod hand_eye;
 mod joint_axes;
 mod joint_clock;
+mod joint_stamps;
 mod joint_topics;
 mod joints;
 mod poses;
@@ -28,6 +29,7 @@ pub use commands::{ReferenceEvidence, TipPoseKind, TipPoseSource, UnmodelledComm
 pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joint_axes::{JointAxes, Tolerance};
+pub use joint_stamps::{HiddenPauses, JointStamps};
 pub use joints::{JointEvidence, JointMotion};
 pub use poses::{DeclaredUnits, EulerEvidence, ImuEvidence, PoseEvidence};
 pub use samples::{OutlierEvidence, RepeatedValueEvidence, UnusableSampleEvidence};

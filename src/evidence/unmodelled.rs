@@ -2,6 +2,7 @@
 
 use super::arm::ArmEvidence;
 use super::commands::UnmodelledCommands;
+use super::joint_stamps::joint_stamps;
 use super::joints::{JointEvidence, JointMotion, polling_step, velocities};
 use super::{StreamEvidence, span_or_run};
 use crate::diagnosis::{
@@ -54,7 +55,9 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
     let sources: Vec<JointSource> =
         columns.joints.iter().map(|joint| source(&joint.name)).collect();
     let samples = run.joint_samples(&sources);
-    let velocities = velocities(&samples, &vec![Vec::new(); samples.len()]);
+    let (stamps, at_true_times) = joint_stamps(&samples);
+    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
+    let velocities = velocities(at_true_times, &vec![Vec::new(); samples.len()]);
     let joint = |((source, samples), velocity): (
         (&JointSource, &JointSamples<'_>),
         Option<EstimateResult<VelocityDiagnosis>>,
@@ -88,6 +91,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         is_trajectory: false,
         joint_clock: None,
         joint_topic: None,
+        stamps,
         has_unknown_units: !run.streams[stream].cells.is_empty(),
         span: span_or_run(run, stream),
         joints,

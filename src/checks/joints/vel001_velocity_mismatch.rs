@@ -2,8 +2,9 @@ use crate::checks::decision::{Decision, Threshold, decide};
 use crate::checks::joint_groups::{group_equal, group_prefix, group_subject, with_joint_names};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{NotObservable, Response, VelocityDiagnosis, VelocityShape};
-use crate::evidence::{ArmEvidence, JointEvidence};
+use crate::evidence::{ArmEvidence, HiddenPauses, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
+use crate::stats::median;
 
 rule! {
     /// Recorded velocities are not the rates of the recorded positions.
@@ -27,11 +28,17 @@ rule! {
     /// - `gain`: velocity at a rate of 1.
     /// - `delay_s`: delay of the velocities (negative: early), with its interval.
     /// - `low_pass_hz`: corner of a first-order low-pass, if it explains more than a delay.
+    /// - `pauses`, `pause_s`: number and median length of pauses of the recorder that its stamps do not show:
+    ///   the joints move between two rows as far as their velocities take them in many rows. The velocities are
+    ///   compared at the times that include the pauses.
+    /// - `rows_per_s`, `stamped_rows_per_s`: if the velocities of all joints have the same unusual factor, and
+    ///   the stamps are an even grid, the rate that the velocities give, and that of the stamps.
     ///
     /// ## How to fix
     /// Fill `velocity` from the same reading as `position`, in rad/s (m/s for prismatic joints), in the
     /// order of `name`. Without velocities, leave it empty: zeros mean rest. Filter less, or delay the
-    /// positions equally.
+    /// positions equally. If the rate of the rows is wrong, state the true one. If the recorder pauses, store
+    /// the time at which each row is read.
     ///
     /// ## When it misleads
     /// The positions may be wrong instead, for example in degrees. Tool poses show this (ORD004, ORD009),
@@ -115,7 +122,53 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     }
     let groups = group_equal(faults, |(a, _), (b, _)| is_same(&a.shape, &b.shape));
     rows.extend(groups.iter().map(|group| report_group(case, arm, group)));
+    rows.extend(arm.stamps.pauses.map(|pauses| report_pauses(arm, pauses)));
     rows
+}
+
+fn report_pauses(arm: &ArmEvidence, pauses: HiddenPauses) -> SubjectResult {
+    let HiddenPauses { count, typical_s } = pauses;
+    let fault = Fault {
+        severity: Severity::Warning,
+        cause: Cause::Pictured(Picture::Joint),
+        title: "stamps hide pauses of the recorder",
+        message: format!(
+            "by their velocities the joints move on for {} between two rows, {count} times: the recorder paused, \
+             and the stamps do not show it",
+            Unit::Second.show(typical_s)
+        ),
+        evidence: Evidence::default(),
+        fix: format!(
+            "stamp {} with the time at which each row is read; delays and speeds of this log are in the wrong time",
+            arm.joints_topic
+        ),
+    };
+    SubjectResult::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
+        .within(arm.span)
+        .with_evidence("pauses", count)
+        .with_evidence("pause_s", typical_s)
+}
+
+/// Rates of the rows by the velocities and by the stamps, if those of all joints have the same factor, which is no
+/// usual unit, and the stamps are an even grid.
+fn rates_of_rows(
+    arm: &ArmEvidence,
+    group: &[(usize, (VelocityDiagnosis, Severity))],
+) -> Option<[f64; 2]> {
+    /// Fewer may have one wrong gear or unit.
+    const MIN_JOINTS: usize = 3;
+    let stamped_hz = arm.stamps.even_rate_hz?;
+    let is_known = |joint: &&JointEvidence| matches!(joint.velocity, Some(Ok(_)));
+    let gain_of = |(_, (found, _)): &(usize, (VelocityDiagnosis, Severity))| match found.shape {
+        VelocityShape::Scaled(gain) => Some(gain),
+        _ => None,
+    };
+    let gain = median(&mut group.iter().map(gain_of).collect::<Option<Vec<f64>>>()?)?;
+    let (joint, _) = group.first()?;
+    let is_all =
+        group.len() >= MIN_JOINTS && group.len() == arm.joints.iter().filter(is_known).count();
+    (is_all && gain > 0.0 && usual_scale(arm, *joint, gain).is_none())
+        .then_some([gain * stamped_hz, stamped_hz])
 }
 
 /// Least error that velocities of joints without a fault may have, rad/s or m/s; 0 without such a joint. The
@@ -207,11 +260,21 @@ fn report_group(
         None => &group[0],
     };
     let limit = percent(case.thresholds.threshold(&VEL001, THRESHOLD).warning);
-    let (what, fix) = describe(arm, *worst, found);
+    let rates = rates_of_rows(arm, group);
+    let (what, fix) = match rates.map(|rates| rates.map(show_factor)) {
+        Some([own, stamped]) => (
+            format!(
+                "velocities give {own} rows per second, but the stamps are a grid of {stamped}"
+            ),
+            format!("if {own} is the true rate, end --columns with @{own}, or correct the stamps"),
+        ),
+        None => describe(arm, *worst, found),
+    };
     let fault = Fault {
         severity: *severity,
         cause: Cause::Pictured(Picture::Joint),
         title: match found.shape {
+            _ if rates.is_some() => "rate of the rows contradicts the velocities",
             VelocityShape::Zero => "velocities are zero in motion",
             VelocityShape::Filtered(_) => "velocities are late or filtered",
             _ => "velocities do not match the positions",
@@ -225,7 +288,11 @@ fn report_group(
         fix,
     };
     let subject = group_subject(arm, &arm.joints_topic, &joints);
-    let judged = SubjectResult::new(subject, Outcome::fail(fault)).within(arm.span);
+    let mut judged = SubjectResult::new(subject, Outcome::fail(fault)).within(arm.span);
+    if let Some([own, stamped]) = rates {
+        judged =
+            judged.with_evidence("rows_per_s", own).with_evidence("stamped_rows_per_s", stamped);
+    }
     with_joint_names(with_numbers(judged, found), arm, &joints)
 }
 
@@ -295,7 +362,8 @@ fn per_second(arm: &ArmEvidence, joint: usize) -> &'static str {
     }
 }
 
-fn describe_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
+/// A usual confusion of units, by its factor.
+fn usual_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> Option<&'static str> {
     const DEGREES_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI;
     const TURNS_PER_RADIAN: f64 = 1.0 / std::f64::consts::TAU;
     let slides = arm.joint_unit(joint) == Unit::Metre;
@@ -308,12 +376,17 @@ fn describe_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
             (TURNS_PER_RADIAN, "revolutions per second"),
         ],
     };
+    let unit = known.iter().find(|(factor, _)| is_same_factor(gain.abs(), *factor));
+    unit.map(|(_, unit)| *unit)
+}
+
+fn describe_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
     if is_same_factor(gain, -1.0) {
         return "velocities have the wrong sign".to_owned();
     }
     let sign = if gain < 0.0 { ", with the wrong sign" } else { "" };
-    match known.iter().find(|(factor, _)| is_same_factor(gain.abs(), *factor)) {
-        Some((_, unit)) => {
+    match usual_scale(arm, joint, gain) {
+        Some(unit) => {
             format!("velocities are {} times the rate ({unit}{sign})", show_factor(gain))
         }
         None => format!("velocities are {} times the rate", show_factor(gain)),
@@ -391,6 +464,44 @@ mod tests {
         assert!(both.message.starts_with("2 joints: velocities are 57.3 times"), "{messages:?}");
         assert!(both.message.contains("degrees per second"), "{messages:?}");
         assert_eq!(both.evidence.more["joints"], serde_json::json!(["pan", "elbow"]));
+    }
+
+    #[test]
+    fn one_factor_of_all_joints_is_the_rate_of_generated_stamps() {
+        let of_all = |gain: f64| [0, 1, 2].map(|joint| (joint, VelocityShape::Scaled(gain)));
+        let message = |gain: f64, even_rate_hz: Option<f64>, joints: usize| {
+            let mut run = planted(&of_all(gain)[..joints]);
+            run.robots[0].stamps.even_rate_hz = even_rate_hz;
+            evaluate_rule(&VEL001, &run).1[0].message.clone()
+        };
+        let rate = message(0.667, Some(30.0), 3);
+        assert!(
+            rate.starts_with(
+                "all joints: velocities give 20.0 rows per second, but the stamps are a grid of 30.0"
+            ),
+            "{rate}"
+        );
+        for (gain, even_rate_hz, joints) in [
+            (0.667, None, 3),
+            (57.3, Some(30.0), 3),
+            (-0.667, Some(30.0), 3),
+            (0.667, Some(30.0), 2),
+        ] {
+            let scale = message(gain, even_rate_hz, joints);
+            assert!(scale.contains("times the rate"), "{scale}");
+        }
+    }
+
+    #[test]
+    fn pauses_that_the_stamps_hide_are_a_finding() {
+        let mut run = planted(&[(0, VelocityShape::Rates)]);
+        run.robots[0].joints[0].velocity = None;
+        run.robots[0].joints[1].velocity = Some(Err(NotObservable::AtRest));
+        run.robots[0].stamps.pauses = Some(HiddenPauses { count: 442, typical_s: 0.044 });
+        let (_, findings) = evaluate_rule(&VEL001, &run);
+        let [found] = findings.as_slice() else { panic!("{findings:?}") };
+        assert!(found.message.contains("move on for 44 ms between two rows, 442 times"));
+        assert_eq!(found.severity, Severity::Warning);
     }
 
     #[test]
