@@ -4,7 +4,7 @@ use crate::LastTurn;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::frames::constant_frames::{constant_frame_residual, starting_states};
 use crate::joints::{CorrectedJoints, is_quarter_turn, single_zeros};
-use crate::latency::correlation::LagPeak;
+use crate::latency::correlation::{LagPeak, median_period_s};
 use crate::model::measurement::{
     MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, State, StreamState,
 };
@@ -116,7 +116,10 @@ fn fit_with_link_deviations(
         };
         let start = common_start(decoded, corrected, with_offsets, &candidates);
         let candidates = candidates(decoded);
-        let model = select_model(&observations, start, &candidates, FIT_SAMPLES);
+        let model = match start {
+            Start::Final(model) => *model,
+            Start::At(state) => select_model(&observations, state, &candidates, FIT_SAMPLES),
+        };
         (model, candidates)
     };
     let (mut model, mut candidates) = fit_with(false);
@@ -369,38 +372,61 @@ fn candidate_causes(
     CandidateCauses { always, optional, may_confound_frames: false }
 }
 
-/// Best starting state of all streams.
+/// Start of a fit.
+enum Start {
+    At(State),
+    /// Converged model of the same streams and samples.
+    Final(Box<SelectedModel>),
+}
+
+impl Start {
+    fn state(self) -> State {
+        match self {
+            Self::At(state) => state,
+            Self::Final(model) => model.state,
+        }
+    }
+}
+
+/// Best start of all streams.
 fn common_start(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
     with_offsets: bool,
     candidates: &dyn Fn(&[&DecodedStream]) -> CandidateCauses,
-) -> State {
-    let single_stream: Vec<State> = decoded
-        .iter()
-        .map(|stream| best_start(stream, corrected, with_offsets, &candidates(&[stream])))
-        .collect();
+) -> Start {
+    let start = |stream: &DecodedStream| {
+        best_start(stream, corrected, with_offsets, &candidates(&[stream]))
+    };
+    if let [only] = decoded {
+        return start(only);
+    }
+    let single_stream: Vec<State> = decoded.iter().map(|stream| start(stream).state()).collect();
     // The streams share the joints: start from the stream with most samples.
     let largest_stream =
         (0..decoded.len()).max_by_key(|&s| decoded[s].observations.len()).unwrap_or(0);
-    State {
+    Start::At(State {
         offsets: single_stream[largest_stream].offsets.clone(),
         streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
-    }
+    })
 }
 
-/// Best starting state of a single stream.
+/// Best start of a single stream.
 fn best_start(
     decoded: &DecodedStream,
     corrected: &CorrectedJoints,
     with_offsets: bool,
     candidates: &CandidateCauses,
-) -> State {
+) -> Start {
+    /// Smaller lags lead to the same model as none.
+    const MIN_LAG_PERIODS: f64 = 0.1;
     let best_lag = decoded.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if decoded.moves {
+        let min_lag_s = MIN_LAG_PERIODS * median_period_s(&decoded.observations.t_s);
         let is_strong = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
+        let strong = decoded.peaks.iter().filter(is_strong).take(3).map(|peak| peak.lag_s);
         // Streams that copy the joints' stamps have zero latency, a narrow minimum.
-        decoded.peaks.iter().filter(is_strong).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
+        strong.filter(|lag_s| lag_s.abs() > min_lag_s).chain([0.0]).collect()
     } else {
         vec![0.0]
     };
@@ -427,19 +453,28 @@ fn best_start(
         }
     }
     let best = select_from_starts(&decoded.observations, starts, candidates, MAX_SEARCH_SAMPLES);
-    let state = best
-        .map_or_else(|| start(&corrected.offsets, StreamState::at_latency(0.0)), |best| best.state);
-    with_base_turned(state, &decoded.observations)
+    let Some(best) = best else {
+        return Start::At(start(&corrected.offsets, StreamState::at_latency(0.0)));
+    };
+    if let Some(turned) = with_base_turned(&best.state, &decoded.observations) {
+        return Start::At(turned);
+    }
+    match best.is_converged && decoded.observations.len() <= MAX_SEARCH_SAMPLES {
+        true => Start::Final(Box::new(best)),
+        false => Start::At(best.state),
+    }
 }
 
-/// Quarter turns of the first joint's zero are equivalent to a base rotation, which differs between makers.
-fn with_base_turned(mut state: State, observations: &PoseObservations) -> State {
-    let Some(&first) = observations.columns.first() else { return state };
+/// Quarter turns of the first joint's zero are equivalent to a base rotation, which differs between makers. `None` without
+/// such a zero.
+fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<State> {
+    let &first = observations.columns.first()?;
     let is_turning = observations.chain.joint_kinds().first() != Some(&JointKind::Prismatic);
     let angle = (state.offsets[first] / FRAC_PI_2).round() * FRAC_PI_2;
     if !is_turning || angle == 0.0 || !is_quarter_turn(state.offsets[first]) {
-        return state;
+        return None;
     }
+    let mut state = state.clone();
     let mut positions = vec![0.0; observations.columns.len()];
     let at_zero = observations.chain.forward(&positions);
     positions[0] = angle;
@@ -450,5 +485,5 @@ fn with_base_turned(mut state: State, observations: &PoseObservations) -> State 
         let round = stream.round_reference.unwrap_or_default() * rotation;
         stream.round_reference = observations.reference_known.then_some(round);
     }
-    state
+    Some(state)
 }

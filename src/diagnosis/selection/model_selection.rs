@@ -446,6 +446,8 @@ pub(crate) struct SelectedModel {
     /// Selected optional causes, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
+    /// Whether further rounds would not change it.
+    pub is_converged: bool,
     /// Weights and equations of `linear` with all candidates free, from which a search continues.
     search: (Vec<Vec<Weight>>, Normal),
 }
@@ -464,7 +466,7 @@ pub(crate) fn select_model(
 
 const MAX_ROUNDS: usize = 12;
 
-/// Best model of one stream from several `starts`. Few rounds of each show which to continue.
+/// Best model of one stream from several `starts`. Few rounds of each show which to continue, if any.
 pub(crate) fn select_from_starts(
     observations: &PoseObservations,
     starts: Vec<State>,
@@ -499,6 +501,9 @@ pub(crate) fn select_from_starts(
     let continued: Vec<SelectedModel> = distinct
         .into_par_iter()
         .map(|model| {
+            if model.is_converged {
+                return model;
+            }
             let SelectedModel { state, mut linear, search: (weights, normal), .. } = model;
             linear.set_weights(weights, normal);
             let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
@@ -525,31 +530,38 @@ fn continue_rounds(
 ) -> SelectedModel {
     let all = candidates.all();
     let mut causes: Vec<Cause> = all.clone();
-    // The linearisation after a round, and whether the state converged.
-    let mut after_round = |linear: &Linearized, round: usize| {
+    // Moves the state and returns whether it converged.
+    let mut step_from = |linear: &Linearized, state: &mut State, round: usize| {
         let frees_all = round < rounds.all_free;
         let next = if frees_all {
             candidates.optional.clone()
         } else {
-            select_causes(linear, candidates, &state).causes
+            select_causes(linear, candidates, state).causes
         };
         let free: Vec<Cause> = candidates.always.iter().chain(&next).copied().collect();
-        let step = linear.step(&parameters_of(&free, &state));
+        let step = linear.step(&parameters_of(&free, state));
         let is_converged = !frees_all && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
-        (Linearized::new(observations, &state, max_samples, &all), is_converged)
+        is_converged
     };
-    let (mut linear, mut is_converged) = after_round(linear, 0);
+    let linearized = |state: &State| Linearized::new(observations, state, max_samples, &all);
+    let mut is_converged = step_from(linear, &mut state, 0);
+    let mut linear = linearized(&state);
     for round in 1..rounds.most {
         if is_converged {
             break;
         }
-        (linear, is_converged) = after_round(&linear, round);
+        let mut next = state.clone();
+        is_converged = step_from(&linear, &mut next, round);
+        // After a negligible step, the linearisation is still valid.
+        if !is_converged {
+            (linear, state) = (linearized(&next), next);
+        }
     }
     let chosen: Vec<Cause> = candidates.always.iter().chain(&causes).copied().collect();
     let search = linear.update_weights(&state, &chosen);
-    SelectedModel { state, causes, linear, search }
+    SelectedModel { state, causes, linear, is_converged, search }
 }
 
 /// Whether the step is below the resolution of any estimate.
