@@ -7,8 +7,8 @@ use super::orientation_samples::{
 };
 use super::position::{PositionEncodingEstimate, follows_as_logged};
 use super::rotation::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
-    estimate_encoding,
+    EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationCorrections,
+    RotationSamples, decode_nearest, estimate_encoding,
 };
 use crate::frames::position_fit::spread;
 use crate::joints::CorrectedJoints;
@@ -247,7 +247,12 @@ fn in_detected_angle_unit<'a>(
         };
         estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
-    let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
+    let as_logged = residual(&track.orientation);
+    // No unit explains more.
+    if as_logged <= MAX_RESIDUAL_DIFFERENCE_RAD {
+        return (Cow::Borrowed(&track.orientation), None);
+    }
+    let corrected = residual(&other);
     if corrected * 3.0 < as_logged {
         (Cow::Owned(other), Some(UnitResiduals { as_logged, corrected }))
     } else {

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 /// An accepted residual is within this ratio of the smallest.
 const MAX_RESIDUAL_RATIO: f64 = 5.0;
 /// A residual within this difference (0.05°) is accepted too.
-const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
+pub(crate) const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
 /// Link deviations rarely cancel to a smaller share in another encoding: residuals of 0.15° as logged and
 /// 0.02° inverted, at a tool that points down, are those of a healthy arm.
 const MAX_LINK_RESIDUAL_RATIO: f64 = 20.0;
@@ -416,12 +416,19 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 }
 
 /// Fits of the candidates that may be accepted, of at least [`MIN_FITTED`], and as logged. If the stream fits
-/// as logged without a fault, other frames cannot win and are not tried.
+/// without a fault, other frames cannot win and are not tried. Numbers in any convention are no fault.
 fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
+    let faultless = match samples.logged {
+        LoggedRotations::Rotations(_) => vec![PoseEncoding::AsLogged],
+        LoggedRotations::Numbers(_) => candidate_encodings(samples),
+    };
     let buffers = &mut Default::default();
-    let as_logged = fits_of_encoding(samples, &frames[..1], PoseEncoding::AsLogged, buffers);
-    if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
+    let fits_without_fault = |encoding: PoseEncoding| {
+        let fits = fits_of_encoding(samples, &frames[..1], encoding, buffers);
+        fits.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD)
+    };
+    if faultless.into_iter().any(fits_without_fault) {
         frames = &frames[..1];
     }
     let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
