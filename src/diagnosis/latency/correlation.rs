@@ -3,6 +3,7 @@
 //! milliseconds; the model fit refines it.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use crate::PoseStream;
 use crate::samples::sampling::{as_rotations, row_blocks};
@@ -297,14 +298,48 @@ impl SpeedGrid {
         grid
     }
 
-    fn powers(&self) -> [Vec<f64>; 3] {
-        [self.known.clone(), self.value.clone(), self.value.iter().map(|v| v * v).collect()]
+    /// Cumulative sums of the mask, the values and their squares, from 0.
+    fn cumulative_powers(&self) -> [Vec<f64>; 3] {
+        let cumulative = |power: &dyn Fn(usize) -> f64| {
+            let mut sum = 0.0;
+            let sums = (0..self.value.len()).map(|at| {
+                sum += power(at);
+                sum
+            });
+            std::iter::once(0.0).chain(sums).collect()
+        };
+        [
+            cumulative(&|at| self.known[at]),
+            cumulative(&|at| self.value[at]),
+            cumulative(&|at| self.value[at] * self.value[at]),
+        ]
+    }
+
+    /// Ranges of valid values.
+    fn valid_ranges(&self) -> Vec<Range<usize>> {
+        let mut end = 0;
+        let runs = self.known.chunk_by(|a, b| a == b).map(|run| {
+            end += run.len();
+            (run[0] == 1.0).then_some(end - run.len()..end)
+        });
+        runs.flatten().collect()
     }
 }
 
 thread_local! {
     /// Planning a transform takes longer than computing it.
     static FFT_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+}
+
+/// Adds sums over `ranges`, shifted by `direction` for each lag after the first, from cumulative ones.
+fn add_range_sums(sums: &mut [f64], cumulative: &[f64], ranges: &[Range<usize>], direction: isize) {
+    let last = cumulative.len() as isize - 1;
+    for (lag, sum) in sums.iter_mut().enumerate() {
+        let before = |at: usize| {
+            cumulative[(at as isize + direction * lag as isize).clamp(0, last) as usize]
+        };
+        *sum += ranges.iter().map(|own| before(own.end) - before(own.start)).sum::<f64>();
+    }
 }
 
 /// Sums for Pearson's correlation at every lag.
@@ -322,9 +357,20 @@ impl CorrelationSums {
 
     /// Adds a piece. `stream` has one step more than `arm` for each lag after the first.
     ///
-    /// Products at all lags by Fourier transforms (Press et al., *Numerical Recipes*, 3rd ed., §13.2). The
-    /// masks restrict them to valid times.
+    /// Products at all lags by Fourier transforms (Press et al., *Numerical Recipes*, 3rd ed., §13.2), other sums
+    /// over the valid times of both.
     fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
+        let [n, x, xx, y, yy, xy] = &mut self.sums;
+        let [count, sum, squares] = arm.cumulative_powers();
+        let ranges = stream.valid_ranges();
+        for (sums, cumulative) in [(n, count), (x, sum), (xx, squares)] {
+            add_range_sums(sums, &cumulative, &ranges, -1);
+        }
+        let [_, sum, squares] = stream.cumulative_powers();
+        let ranges = arm.valid_ranges();
+        for (sums, cumulative) in [(y, sum), (yy, squares)] {
+            add_range_sums(sums, &cumulative, &ranges, 1);
+        }
         let length = stream.value.len().next_power_of_two();
         let (forward, inverse) = FFT_PLANS.with_borrow_mut(|planner| {
             (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
@@ -337,21 +383,16 @@ impl CorrelationSums {
             debug_assert!(done.is_ok());
             spectrum
         };
-        let [arm_powers, stream_powers] = [arm.powers(), stream.powers()];
-        let [a, b] = [arm_powers.each_ref(), stream_powers.each_ref()].map(|p| p.map(spectrum));
-        let pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)];
-        for (sums, (of_arm, of_stream)) in self.sums.iter_mut().zip(pairs) {
-            let product = a[of_arm].iter().zip(&b[of_stream]).map(|(a, b)| a.conj() * b);
-            let (mut product, mut lags): (Vec<_>, _) =
-                (product.collect(), inverse.make_output_vec());
-            for end in [0, length / 2] {
-                // Real in theory; required by the transform.
-                product[end].im = 0.0;
-            }
-            let done = inverse.process(&mut product, &mut lags);
-            debug_assert!(done.is_ok());
-            sums.iter_mut().zip(&lags).for_each(|(sum, lag)| *sum += lag / length as f64);
+        let [a, b] = [&arm.value, &stream.value].map(spectrum);
+        let product = a.iter().zip(&b).map(|(a, b)| a.conj() * b);
+        let (mut product, mut lags): (Vec<_>, _) = (product.collect(), inverse.make_output_vec());
+        for end in [0, length / 2] {
+            // Real in theory; required by the transform.
+            product[end].im = 0.0;
         }
+        let done = inverse.process(&mut product, &mut lags);
+        debug_assert!(done.is_ok());
+        xy.iter_mut().zip(&lags).for_each(|(sum, lag)| *sum += lag / length as f64);
         self.known[0] += arm.known.iter().sum::<f64>();
         self.known[1] += stream.known.iter().sum::<f64>();
     }
