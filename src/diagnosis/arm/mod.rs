@@ -522,9 +522,11 @@ pub fn diagnose_derived(
 /// Best correlation of a pose stream's speeds with FK's. Bare numbers must also be positioned where the arm
 /// is, because an array of joint angles correlates too.
 pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Option<LagPeak> {
-    let peak = candidate_lags(joints, stream, max_lag_s).first().copied()?;
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let peaks = stream_peaks(&arm, stream, max_lag_s);
+    let peak = peaks.first().copied()?;
     let is_positioned = as_rotations(&stream.track.orientation).is_some() || {
-        let position_encoding = PositionEncodingEstimate::estimate(joints, stream, max_lag_s);
+        let position_encoding = PositionEncodingEstimate::from_speeds(joints, stream, &arm, peaks);
         position_encoding.needs_correction()
             || follows_arm(joints, stream, position_encoding.metres(), peak.lag_s)
     };

@@ -33,11 +33,21 @@ pub(crate) struct PositionEncodingEstimate {
 impl PositionEncodingEstimate {
     /// Encoding of `stream`'s positions against FK.
     pub fn estimate(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Self {
+        let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+        let peaks = stream_peaks(&arm, stream, max_lag_s);
+        Self::from_speeds(joints, stream, &arm, peaks)
+    }
+
+    /// Same with the arm's speeds and the candidate lags of the stream.
+    pub fn from_speeds(
+        joints: &JointTrack,
+        stream: &PoseStream,
+        arm: &ArmSpeeds,
+        mut peaks: Vec<LagPeak>,
+    ) -> Self {
         /// Relative to the extent; below it, no further lag is tried.
         const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-        let arm = ArmSpeeds::from_joints(joints, chain, columns);
-        let mut peaks = stream_peaks(&arm, stream, max_lag_s);
         peaks.retain(|peak| peak.correlation > MIN_SPEED_CORRELATION);
         let read_as_m = metres_per_unit(track);
         let reach_m = chain.max_reach_m();
