@@ -47,12 +47,14 @@ impl LogModel {
         clues: &ModelClues<'_>,
     ) -> Self {
         let frames = FrameNames::fit(&robot, joint_prefix, clues.frames, clues.namespace);
-        let known = controller_links(&robot, clues.joints);
-        let link = |own: &Option<String>, known: Option<String>| {
-            own.as_deref().and_then(|own| robot.link(own)).or_else(|| robot.link(&known?))
-        };
-        let controller_base = link(&robot.controller_base, known.0);
-        let controller_tip = link(&robot.controller_tip, known.1);
+        let own = |name: &Option<String>| robot.link(name.as_deref()?);
+        let [mut controller_base, mut controller_tip] =
+            [own(&robot.controller_base), own(&robot.controller_tip)];
+        if controller_base.is_none() || controller_tip.is_none() {
+            let (base, tip) = controller_links(&robot, clues.joints);
+            controller_base = controller_base.or_else(|| robot.link(&base?));
+            controller_tip = controller_tip.or_else(|| robot.link(&tip?));
+        }
         Self {
             robot,
             identified_by: found,
