@@ -99,6 +99,8 @@ pub fn misinterpretation_classes() -> &'static [MisinterpretationClass] {
 }
 
 fn classes_of(conventions: &[Convention]) -> Vec<MisinterpretationClass> {
+    /// Above the rounding of a few dozen numbers.
+    const MAX_SUM_DIFFERENCE: f64 = 1e-6;
     let mut misinterpretations: Vec<Misinterpretation> = conventions
         .iter()
         .flat_map(|&is| conventions.iter().map(move |&read_as| Misinterpretation { is, read_as }))
@@ -110,7 +112,8 @@ fn classes_of(conventions: &[Convention]) -> Vec<MisinterpretationClass> {
     });
 
     let probes = PROBES.map(|rotvec| rotation_from_rotvec(Vec3::from(rotvec)));
-    let mut images: Vec<[Vec<Rotation>; PROBES.len()]> = Vec::new();
+    // With the sum of |w|, which differs unless the maps are the same or similar.
+    let mut images: Vec<(f64, [Vec<Rotation>; PROBES.len()])> = Vec::new();
     let mut classes: Vec<MisinterpretationClass> = Vec::new();
     for misinterpretation in misinterpretations {
         let image = probes.map(|probe| {
@@ -118,13 +121,15 @@ fn classes_of(conventions: &[Convention]) -> Vec<MisinterpretationClass> {
             misinterpretation.true_rotations(&probe, &mut rotations);
             rotations
         });
-        let same_map = |known: &[Vec<Rotation>; PROBES.len()]| {
-            known.iter().zip(&image).all(|(a, b)| is_same_set(a, b))
+        let sum: f64 = image.iter().flatten().map(|rotation| rotation.w.abs()).sum();
+        let same_map = |(known_sum, known): &(f64, [Vec<Rotation>; PROBES.len()])| {
+            (known_sum - sum).abs() < MAX_SUM_DIFFERENCE
+                && known.iter().zip(&image).all(|(a, b)| is_same_set(a, b))
         };
         match images.iter().position(same_map) {
             Some(at) => classes[at].members.push(misinterpretation),
             None => {
-                images.push(image);
+                images.push((sum, image));
                 classes.push(MisinterpretationClass { members: vec![misinterpretation] });
             }
         }
