@@ -534,7 +534,7 @@ fn variables_of_matlab_are_arrays_and_fields_of_structs_are_paths() {
         assert!((poses[16 * 7 + 12] - 0.7).abs() < 1e-12 && poses[16 * 7 + 15] == 1.0);
         for (name, why) in [("log/note", "text"), ("gains", "a cell array")] {
             assert!(
-                topic(&log, name).unusable.as_ref().is_some_and(|own| own.contains(why)),
+                topic(&log, name).read_as.as_ref().is_some_and(|own| own.contains(why)),
                 "{name}"
             );
         }
