@@ -89,7 +89,8 @@ fn read_csv(bytes: &[u8]) {
         let columns = table.joints(&joints).unwrap_or_default();
         assert!(columns.iter().all(|&column| column < table.width()));
     }
-    if let Some(table) = log::read_calibration_table(&path).expect("a file") {
+    let settings = ColumnSettings::default();
+    if let Some(table) = log::read_calibration_table(&path, &settings).expect("a file") {
         let width = table.numbers.width();
         assert!(table.positions.iter().flatten().all(|&column| column < width));
     }
