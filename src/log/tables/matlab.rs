@@ -33,8 +33,8 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         bytes.split_at_checked(HEADER_BYTES).ok_or("truncated within its header")?;
     let is_big = header.ends_with(b"MI");
     let mut found = Variables::default();
-    let mut elements = Elements { bytes: content, is_big };
-    while let Some(element) = elements.next() {
+    let elements = Elements { bytes: content, is_big };
+    for element in elements {
         let read = element.and_then(|element| found.add_variable(element, is_big, context.memory));
         if let Err(why) = read {
             why.report(None, context.losses);
