@@ -940,24 +940,19 @@ pub(super) fn diagnose_with_large_steps(
 ) -> Option<ArmDiagnosis> {
     let LargeSteps { steps, tracks } = large_steps(segments, jumps, run)?;
     let before = &segments.longest.found;
-    let of_frames = |it: &LargeStep| matches!(it.size, StepSize::Frame(..));
-    let zeros: Vec<Change> =
-        steps.iter().filter(|it| !of_frames(it)).filter_map(|it| it.change(run, None)).collect();
+    let zeros = steps.iter().filter_map(|it| it.change(run, &[])).collect();
     let removal = Removal::new(&run.arm, before, &tracks, zeros);
-    let streams = Stream::all(&run.arm, &removal.after);
-    let change = |it: &LargeStep| it.change(run, Some(&streams));
-    let changes: Vec<Change> = steps.iter().filter_map(change).collect();
-    if changes.len() < steps.len() {
-        return None;
-    }
-    let patches = removal.patches.clone();
-    let removal = Removal { changes, patches, after: removal.after.clone() };
+    let changes = {
+        let streams = Stream::all(&run.arm, &removal.after);
+        steps.iter().map(|it| it.change(run, &streams)).collect::<Option<_>>()?
+    };
+    let removal = Removal { changes, ..removal };
     refined(&run.arm, before, removal, tracks).reported(&run.arm, before)
 }
 
 impl LargeStep {
-    /// `None` for a frame of a stream that does not follow FK.
-    fn change(&self, run: &SplitRun, streams: Option<&[Stream]>) -> Option<Change> {
+    /// `None` for a frame of a stream that is not in `streams`.
+    fn change(&self, run: &SplitRun, streams: &[Stream]) -> Option<Change> {
         match self.size {
             StepSize::Zero(column, by) => Some(Change {
                 subject: Subject::Zero { column },
@@ -966,7 +961,7 @@ impl LargeStep {
                 half: DVector::from_element(1, 0.5 * by),
             }),
             StepSize::Frame(index, frame, turns) => {
-                let stream = streams?.iter().find(|it| it.index == index)?;
+                let stream = streams.iter().find(|it| it.index == index)?;
                 let FrameCorrection { reference, tool, .. } = &stream.found.frame_correction;
                 let about = Pose::from_parts(stream.columns.centre.into(), Rotation::identity());
                 let corrected = match frame {

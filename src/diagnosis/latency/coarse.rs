@@ -16,8 +16,8 @@ use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
 const MIN_CORRELATION: f64 = 0.85;
-/// A piecewise linear profile must reduce the residual of a line to this fraction. The fit of the model decides between
-/// it and steps unless these reduce its residual to this fraction, or it that of the steps.
+/// A piecewise linear profile must reduce the residual of a line to this fraction. If neither the profile nor the steps
+/// reduce the other's residual to this fraction, the fit of the model decides between them.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
 /// Large latency change within the run.
 #[derive(Clone, Debug, PartialEq)]

@@ -55,7 +55,7 @@ pub(crate) fn detect_steps(
 /// Sizes of the largest steps of a clock that was set forward, if the largest gaps are such steps, s.
 fn forward_leaps_s(stream: &SpeedSeries) -> Vec<f64> {
     const MAX_LEAPS: usize = 2;
-    // Smaller ones are within a window.
+    /// Smaller ones are within a window.
     const MIN_LEAP_S: f64 = 1.0;
     let usual_s = median_period_s(&stream.t_s) + window_s(&stream.t_s);
     let intervals = stream.t_s.windows(2).map(|pair| pair[1] - pair[0] - usual_s);
