@@ -41,6 +41,8 @@ pub(super) struct GyroFit {
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
     solved: Solved,
+    /// Error of the rotation by FK, relative to the rotation.
+    relative_fk_error: f64,
 }
 
 impl GyroFit {
@@ -49,7 +51,9 @@ impl GyroFit {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
         let rotation = rotvec_from_rotation(&imu_from_gyro);
-        let size_rad = self.solved.observable_length(&mount, rotation.as_slice()).ok()?;
+        let mut size_rad = self.solved.observable_length(&mount, rotation.as_slice()).ok()?;
+        let std_error = &mut size_rad.norm.std_error;
+        *std_error = std_error.hypot(self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
 }
@@ -108,7 +112,10 @@ impl Link<'_> {
                 }
             }
         }
-        if self.rotation_rms_rad(&model.delay) > MIN_ROTATION_RAD {
+        let rotation_rad = self.rotation_rms_rad(&model.delay);
+        let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
+        let scale_error = scale_error.map(|it| it.with_relative_error(relative_fk_error));
+        if rotation_rad > MIN_ROTATION_RAD {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
         }
@@ -129,6 +136,7 @@ impl Link<'_> {
             link_from_imu: model.link_from_imu,
             mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
             solved,
+            relative_fk_error,
         })
     }
 

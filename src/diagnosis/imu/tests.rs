@@ -74,6 +74,16 @@ fn diagnosed_track(
     track: &ImuTrack,
     logged: Rotation,
 ) -> ImuDiagnosis {
+    diagnosed_beside_fk_error(joints, chain, track, logged, 0.0)
+}
+
+fn diagnosed_beside_fk_error(
+    joints: &JointTrack,
+    chain: &Chain,
+    track: &ImuTrack,
+    logged: Rotation,
+    fk_error_rad: f64,
+) -> ImuDiagnosis {
     let stream = ImuStream {
         track,
         chain,
@@ -81,7 +91,7 @@ fn diagnosed_track(
         stamp_error_s: 0.0,
         link_from_imu: Some(Pose::from_parts(Vec3::zeros().into(), logged)),
         removed_ramp: None,
-        fk_error_rad: 0.0,
+        fk_error_rad,
     };
     diagnose_imu(joints, &stream, 1.0)
 }
@@ -123,6 +133,9 @@ fn a_gain_is_estimated_also_if_the_imu_turns_about_one_axis() {
             scale.iter().all(|scale| (scale.value - 0.15).abs() < scale.half_width(0.999)),
             "joint {moving}: {scale:?}"
         );
+        let found = diagnosed_beside_fk_error(&joints, &chain, &track, mount, 0.1);
+        let scale = found.gyro_bias.expect("a bias").scale_error.expect("a scale").scale;
+        assert!(scale[0].half_width(0.95) > 0.15, "joint {moving}: {scale:?}");
     }
 }
 
