@@ -233,14 +233,12 @@ pub(crate) fn correlation_by_lag(
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
     let silences = periods.map(max_gap_s);
     let unbroken_spans = unbroken_spans(&arm.t_s, silences[0]);
-    let covered_s = |spans: &[(f64, f64)]| spans.iter().map(|(start, end)| end - start).sum();
-    let of_stream: f64 = covered_s(&self::unbroken_spans(&stream.t_s, silences[1]));
-    let covered_s: f64 = covered_s(&unbroken_spans);
+    let covered_s: f64 = unbroken_spans.iter().map(|(start, end)| end - start).sum();
     let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / MAX_STEPS);
     if stream.t_s.is_empty() || covered_s < 20.0 * step {
         return Vec::new();
     }
-    let lags = (max_lag_s.min(covered_s.max(of_stream) / 3.0) / step).floor() as usize;
+    let lags = (max_lag_s.min(covered_s / 3.0) / step).floor() as usize;
     let mut sums = CorrelationSums::zeros(2 * lags + 1);
     for (start, end) in unbroken_spans {
         let count = ((end - start) / step) as usize + 1;
