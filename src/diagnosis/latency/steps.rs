@@ -43,10 +43,11 @@ pub(crate) fn detect_steps(
     followed: &[&LagWindow],
 ) -> Option<LatencySteps> {
     let mut lags = candidate_lags(followed);
-    let leaps_s = forward_leaps_s(stream);
-    if let Some(&usual) = lags.first() {
-        lags.extend(leaps_s.into_iter().flat_map(|leap_s| [usual - leap_s, usual + leap_s]));
-    }
+    let after_leaps: Vec<f64> = forward_leaps_s(stream)
+        .into_iter()
+        .flat_map(|leap_s| lags.iter().flat_map(move |lag_s| [lag_s - leap_s, lag_s + leap_s]))
+        .collect();
+    lags.extend(after_leaps);
     let rough = (lags.len() > 1).then(|| assign_lags(arm, stream, &lags)).flatten()?;
     let finer = assign_lags(arm, stream, &rough.finer_lags(arm, stream));
     Some(finer.unwrap_or(rough))
