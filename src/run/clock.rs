@@ -222,32 +222,36 @@ struct DelayStats {
     median: i64,
     /// 1 % quantile: near the minimum, robust against one stamp from the future.
     floor: i64,
-    /// 99 % quantile.
-    ceiling: i64,
+    /// Of the central 90 %, like the valid range of stamps.
+    usual: [i64; 2],
 }
 
 impl DelayStats {
     fn from_delays(mut delays: Vec<i64>) -> Option<Self> {
         let at = |part: usize| delays.len() * part / 100;
-        let [low, middle, high] = [1, 50, 99].map(at);
+        let [low, first, middle, last] = [1, 5, 50, 95].map(at);
         if delays.is_empty() {
             return None;
         }
         let mut quantile = |at: usize| *delays.select_nth_unstable(at).1;
-        Some(Self { median: quantile(middle), floor: quantile(low), ceiling: quantile(high) })
+        Some(Self {
+            median: quantile(middle),
+            floor: quantile(low),
+            usual: [first, last].map(quantile),
+        })
     }
 
     fn spread_s(self) -> f64 {
         seconds(self.median.saturating_sub(self.floor))
     }
 
-    const ZERO: Self = Self { median: 0, floor: 0, ceiling: 0 };
+    const ZERO: Self = Self { median: 0, floor: 0, usual: [0; 2] };
 
-    /// Whether some delays of both are within the limit of each other. A clock that is set in mid-run is the common clock
+    /// Whether some usual delays of both are within the limit of each other. A clock that is set in mid-run is the common clock
     /// before or after.
     fn agrees(self, other: Self, limit_s: f64) -> bool {
-        let apart = self.floor.saturating_sub(other.ceiling);
-        let apart = apart.max(other.floor.saturating_sub(self.ceiling));
+        let ([first, last], [other_first, other_last]) = (self.usual, other.usual);
+        let apart = first.saturating_sub(other_last).max(other_first.saturating_sub(last));
         seconds(apart) <= limit_s
     }
 }
@@ -393,6 +397,15 @@ mod tests {
             let clocks = select_clocks(&sources, Clock::Header, 5.0);
             assert!(clocks.iter().all(|clock| clock.alignment.is_none()), "{clocks:?}");
         }
+    }
+
+    #[test]
+    fn a_foreign_clock_with_a_few_good_stamps_is_aligned() {
+        let good = times(|_, truth| truth);
+        let foreign = times(|row, truth| if row < 20 { truth } else { truth - 100_000_000_000 });
+        let clocks =
+            select_clocks(&[source(JOINTS, &good), source(0, &foreign)], Clock::Header, 5.0);
+        assert_eq!(clocks[1].epoch, Epoch::Foreign);
     }
 
     #[test]

@@ -28,17 +28,17 @@ rule! {
     /// - `gain`: velocity at a rate of 1.
     /// - `delay_s`: delay of the velocities (negative: early), with its interval.
     /// - `low_pass_hz`: corner of a first-order low-pass, if it explains more than a delay.
-    /// - `pauses`, `pause_s`: number and median length of pauses of the recorder that its stamps do not show:
-    ///   the joints move between two rows as far as their velocities take them in many rows. The velocities are
-    ///   compared at the times that include the pauses.
-    /// - `rows_per_s`, `stamped_rows_per_s`: if the velocities of all joints have the same unusual factor, and
-    ///   the stamps are an even grid, the rate that the velocities give, and that of the stamps.
+    /// - `pauses`, `pause_s`: number and median length of the recorder's pauses that its stamps do not show:
+    ///   the joints move between two rows as far as their velocities take them in many rows. The comparison
+    ///   then uses times that include the pauses.
+    /// - `rows_per_s`, `stamped_rows_per_s`: rate of the rows by the velocities, and by the stamps. Given if the
+    ///   velocities of all joints have the same unusual factor, and the stamps are an even grid.
     ///
     /// ## How to fix
     /// Fill `velocity` from the same reading as `position`, in rad/s (m/s for prismatic joints), in the
     /// order of `name`. Without velocities, leave it empty: zeros mean rest. Filter less, or delay the
-    /// positions equally. If the rate of the rows is wrong, state the true one. If the recorder pauses, store
-    /// the time at which each row is read.
+    /// positions equally. If the rate of the rows is wrong, state the true one. If the recorder pauses, stamp
+    /// each row when it is read.
     ///
     /// ## When it misleads
     /// The positions may be wrong instead, for example in degrees. Tool poses show this (ORD004, ORD009),
@@ -139,7 +139,7 @@ fn report_pauses(arm: &ArmEvidence, pauses: HiddenPauses) -> SubjectResult {
         ),
         evidence: Evidence::default(),
         fix: format!(
-            "stamp {} with the time at which each row is read; delays and speeds of this log are in the wrong time",
+            "stamp each row of {} when it is read; delays and speeds of this log are in the wrong time",
             arm.joints_topic
         ),
     };
@@ -149,8 +149,8 @@ fn report_pauses(arm: &ArmEvidence, pauses: HiddenPauses) -> SubjectResult {
         .with_evidence("pause_s", typical_s)
 }
 
-/// Rates of the rows by the velocities and by the stamps, if those of all joints have the same factor, which is no
-/// usual unit, and the stamps are an even grid.
+/// Rates of the rows by the velocities and by the stamps. `None` unless the velocities of all joints have the same factor,
+/// other than a usual unit, and the stamps are an even grid.
 fn rates_of_rows(
     arm: &ArmEvidence,
     group: &[(usize, (VelocityDiagnosis, Severity))],

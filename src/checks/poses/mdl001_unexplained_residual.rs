@@ -593,6 +593,7 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
 
 /// Whether the named arm with its findings fits as well: if a joint turns alone, any arm does.
 fn fits_as_well(found: &PoseDiagnosis, competing: &CompetingModel) -> bool {
+    /// Between fits that are equally good; not calibrated.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
     let max_m = MAX_RESIDUAL_RATIO * competing.residual_m;
     found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < max_m)

@@ -1,4 +1,4 @@
-//! Standard errors that include link deviations, which may hide in the noise.
+//! Widens standard errors by link deviations, which noise may hide.
 
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
@@ -10,12 +10,12 @@ use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, Matrix6};
 
-/// Standard errors of zeros and radial scales. For selected ones the selected causes are free, for others also all zeros or
-/// the radial scale. Zeros that were fitted with link deviations are left out.
+/// Errors of zeros, radial scales and frames. The selected causes are free; a zero or radial scale that is not selected is
+/// free as well, together with all zeros. Excludes zeros that were fitted with link deviations.
 #[derive(Default)]
 pub(super) struct BesideLinks {
     std_errors: Vec<(Cause, f64)>,
-    /// Per stream: covariances of the twists that move the decoded reference and tool from the right, and the left.
+    /// Per stream: covariances of a twist after the reference, and of a twist before the tool.
     frames: Vec<[Option<Matrix6<f64>>; 2]>,
 }
 
@@ -78,7 +78,7 @@ impl BesideLinks {
         let Some(of_twist) = self.frames.get(stream).and_then(|frames| frames[own]) else {
             return found;
         };
-        // The reference moves in its own axes, in which its translation from the stream is the opposite of the reported.
+        // In the axes of the reference, the stream's translation is the opposite of the reported one.
         let shift = found.pose.translation.vector;
         let turn = rotvec_from_rotation(&found.pose.rotation);
         let lever = if own == 0 { Vec3::zeros() } else { shift };
@@ -106,7 +106,7 @@ impl BesideLinks {
     }
 }
 
-/// Covariance of the twist that moves the tip, in its own axes, from that of the last joint's link.
+/// Transforms the covariance of a twist from the last joint's link to the tip.
 fn of_tool(observations: &PoseObservations, of_link: &Matrix6<f64>) -> Matrix6<f64> {
     let q = vec![0.0; observations.columns.len()];
     let mut links = Vec::new();

@@ -669,7 +669,7 @@ fn take_from(tracks: &mut [Option<PoseTrack>], streams: &[Stream], changes: &[Ch
     }
 }
 
-/// Removes from `tracks` what the diagnosis without the changes shows of them: what constant causes had absorbed.
+/// Refines the changes: the diagnosis without them shows the part that constant causes had absorbed.
 fn refined(
     run: &ArmRun,
     before: &ArmDiagnosis,

@@ -9,7 +9,7 @@ use crate::{FrameCorrection, JointOffset};
 use ground::geometry::Pose;
 use ground::stream::{Orientations, PoseTrack};
 
-/// Smaller steps are found by [`super::cause_changes`].
+/// [`super::cause_changes`] finds smaller steps. The tests measure steps on both sides of it.
 const MIN_STEP_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// A step at a jump.

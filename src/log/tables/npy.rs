@@ -168,10 +168,19 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
             Err(why) => candidates.push(ReadColumn::unreadable(&name, rows, why)),
         }
     }
-    if candidates.is_empty() {
+    tables_of_columns(candidates, rate_hz, unread, context)
+}
+
+fn tables_of_columns(
+    columns: Vec<ReadColumn>,
+    rate_hz: Option<f64>,
+    unread: Vec<(String, String)>,
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    if columns.is_empty() {
         return Err("it contains no array of numbers".into());
     }
-    let mut tables = Table::by_row_count(candidates, context.memory);
+    let mut tables = Table::by_row_count(columns, context.memory);
     tables[0].rate_hz = rate_hz;
     tables[0].unread.extend(unread);
     Ok(tables.into_iter().map(|table| ("0".to_owned(), table)).collect())
@@ -208,13 +217,7 @@ pub(super) fn tables_of_arrays(
         }
         context.memory.release(data.len() / 8);
     }
-    if candidates.is_empty() {
-        return Err("it contains no array of numbers".into());
-    }
-    let mut tables = Table::by_row_count(candidates, context.memory);
-    tables[0].rate_hz = rate_hz;
-    tables[0].unread.extend(unread);
-    Ok(tables.into_iter().map(|table| ("0".to_owned(), table)).collect())
+    tables_of_columns(candidates, rate_hz, unread, context)
 }
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
