@@ -9,7 +9,8 @@ use crate::solver::linear::ridged;
 use crate::{LatencyProfile, LatencyShape, LatencyStep, Measured, PoseDiagnosis};
 use ground::robot::Chain;
 
-/// Profile of a latency with steps, if they are likelier than other changes of causes. `found` has a constant latency.
+/// Profile of a latency with steps, if they are significant and likelier than other changes of causes. `found` has a
+/// constant latency.
 pub(crate) fn latency_steps(found: &PoseDiagnosis, chain: &Chain) -> Option<LatencyProfile> {
     const MAX_STEPS: usize = 4;
     /// Half of what LAT003 reports. Smaller ones are also errors of the model.
@@ -43,7 +44,9 @@ pub(crate) fn latency_steps(found: &PoseDiagnosis, chain: &Chain) -> Option<Late
         },
     };
     let steps: Vec<LatencyStep> = steps.iter().zip(columns.constant()..).map(measured).collect();
-    let swing_s = largest(&steps).filter(|swing| swing.value.abs() > MIN_SWING_S)?;
+    let is_significant =
+        |swing: &Measured| swing.value.abs() > swing.half_width(0.95).max(MIN_SWING_S);
+    let swing_s = largest(&steps).filter(is_significant)?;
     let mut level_s = 0.0;
     let later = steps.iter().map(|step| {
         level_s += step.size_s.value;

@@ -397,6 +397,30 @@ mod tests {
     }
 
     #[test]
+    fn a_latency_ramp_of_poses_on_a_moving_base_is_measured() {
+        let (joints, chain) = arm();
+        // The base moves as fast as the tool.
+        let odometry = |t_s: f64| odometry(4.0 * t_s);
+        let frame = moving_frame(0.0);
+        let base_from_frame = frame.t_s.iter().map(|t_s| odometry(*t_s).inverse()).collect();
+        let frame = MovingFrame { base_from_frame, ..frame };
+        let ramp = |t_s: f64| 0.004 + 0.01 * ((t_s - 10.3) / 2.3).clamp(0.0, 1.0);
+        let logged = track(&joints, &chain, ramp, odometry);
+        let in_base = frame.in_base(&logged);
+        let stream = PoseStream {
+            moving_frame: Some(&frame),
+            reference_known: true,
+            ..stream(&in_base, &chain)
+        };
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
+        let profile = found.streams[0].latency_profile.as_ref().expect("a profile");
+        assert!(profile.is_unsteady && profile.steps.is_empty(), "{profile:?}");
+        let swing = &profile.swing_s;
+        assert!((swing.value - 0.01).abs() < swing.half_width(0.99), "{swing:?}");
+        assert!(swing.std_error < 1e-3, "{swing:?}");
+    }
+
+    #[test]
     fn latency_and_skew_of_poses_on_a_moving_base_are_exact() {
         let (joints, chain) = arm();
         let frame = moving_frame(0.0);

@@ -302,6 +302,20 @@ impl PoseObservations<'_> {
         self.t_s.len()
     }
 
+    /// The same poses with other stamps.
+    pub fn with_stamps(&self, stamp: impl Fn(f64) -> f64) -> Self {
+        let mut restamped = self.clone();
+        for (row, t_s) in restamped.t_s.iter_mut().enumerate() {
+            let logged_s = std::mem::replace(t_s, stamp(*t_s));
+            let moved = self.moving_frame.and_then(|it| it.base_at(*t_s, logged_s - it.lag_s));
+            if let Some(base) = moved {
+                restamped.xyz[row] = base.rotation * self.xyz[row] + base.translation.vector;
+                restamped.rotation[row] = base.rotation * self.rotation[row];
+            }
+        }
+        restamped
+    }
+
     /// Index among the offsets and multiplied joint, for each gain of a joint.
     fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
         let gained = self.gains.iter().enumerate();

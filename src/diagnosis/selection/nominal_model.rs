@@ -75,13 +75,9 @@ pub(crate) fn link_deviations_beat_profile(
     profile: &LatencyProfile,
     removed: Option<&LatencyRamp>,
 ) -> bool {
-    let at_stamps = |stamp: &dyn Fn(f64) -> f64| {
-        let t_s = observations.t_s.iter().map(|t_s| stamp(*t_s)).collect();
-        PoseObservations { t_s, ..observations.clone() }
-    };
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
-    let logged = at_stamps(&logged_s);
-    let steady = at_stamps(&|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
+    let logged = observations.with_stamps(logged_s);
+    let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
     let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let as_logged = logged.linearize(state, offsets, stride);
     if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
