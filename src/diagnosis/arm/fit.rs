@@ -11,7 +11,7 @@ use crate::model::measurement::{
 use crate::priors::ZERO_PRIOR;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::selection::link_deviations::{
-    LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations,
+    LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations, zero_instead_of_frame,
 };
 use crate::selection::model_selection::{
     CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, select_from_starts, select_model,
@@ -140,6 +140,10 @@ fn fit_with_link_deviations(
     let without_small_zeros = |state: &State| large_zeros(state, corrected, 0.1);
     let large_offsets = without_small_zeros(&model.state);
     let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets, FIT_SAMPLES);
+    let (model, candidates) = match with_offsets {
+        true => prefer_zeros(&observations, model, candidates, &large_offsets),
+        false => (model, candidates),
+    };
     let large_offsets = without_small_zeros(&model.state);
     let plain: Vec<StreamState> = (0..observations.len())
         .map(|s| with_significant_causes(&model, (observations[s], s), &large_offsets))
@@ -191,23 +195,73 @@ fn fit_with_link_deviations(
     Some(ArmFit { model, candidates, deviations, skews: Vec::new() })
 }
 
-impl ArmFit {
-    /// The state, with frames that are no cause exactly the identity.
-    pub fn exact_state(&self) -> State {
-        let Self { model, candidates, .. } = self;
-        let is_cause =
-            |cause: Cause| model.causes.contains(&cause) || candidates.always.contains(&cause);
-        let mut state = model.state.clone();
-        for (s, stream) in state.streams.iter_mut().enumerate() {
-            if !is_cause(Cause::Reference(s)) && stream.round_reference.is_none() {
-                stream.reference = Pose::identity();
-            }
-            if !is_cause(Cause::Tool(s)) && stream.round_tool.is_none() {
-                stream.tool = Pose::identity();
-            }
+/// Replaces frames that no motion confirms by joint zeros that are likelier beside link deviations.
+fn prefer_zeros(
+    observations: &[&PoseObservations],
+    model: SelectedModel,
+    candidates: CandidateCauses,
+    large_offsets: &[f64],
+) -> (SelectedModel, CandidateCauses) {
+    /// Larger frames are not linear.
+    const MAX_FRAME: (f64, f64) = (0.05, 0.1);
+    let is_small = |frame: &Pose, round: Option<Pose>| {
+        round.is_none()
+            && frame.translation.vector.norm() < MAX_FRAME.0
+            && frame.rotation.angle() < MAX_FRAME.1
+    };
+    let streams = &model.state.streams;
+    let is_replaceable = |cause: &&Cause| match **cause {
+        Cause::Reference(s) => is_small(&streams[s].reference, streams[s].round_reference),
+        Cause::Tool(s) => is_small(&streams[s].tool, streams[s].round_tool),
+        _ => false,
+    };
+    let frames: Vec<Cause> = model.causes.iter().filter(is_replaceable).copied().collect();
+    for frame in frames {
+        let others: Vec<Cause> =
+            model.causes.iter().copied().filter(|cause| *cause != frame).collect();
+        let mut without =
+            State { offsets: large_offsets.to_vec(), ..exact_state(&model, &candidates) };
+        frame.remove_from(&mut without);
+        without.streams.iter_mut().for_each(|stream| stream.radial_scale = 0.0);
+        let zeros = candidates.optional.iter().copied().filter(|cause| {
+            matches!(cause, Cause::Zero(joint) if large_offsets[*joint] == 0.0)
+                && !others.contains(cause)
+        });
+        if let Some(zero) = zero_instead_of_frame(observations, &without, frame, &others, zeros) {
+            let mut start = model.state.clone();
+            frame.remove_from(&mut start);
+            let is_retained = |cause: &Cause| {
+                others.contains(cause) || *cause == zero || matches!(cause, Cause::Skew(_))
+            };
+            let optional = candidates.optional.iter().copied().filter(is_retained).collect();
+            let candidates = CandidateCauses { optional, ..candidates };
+            let model = select_model(observations, start, &candidates, FIT_SAMPLES);
+            return prefer_zeros(observations, model, candidates, large_offsets);
         }
-        state
     }
+    (model, candidates)
+}
+
+impl ArmFit {
+    pub fn exact_state(&self) -> State {
+        exact_state(&self.model, &self.candidates)
+    }
+}
+
+/// The state, with frames that are no cause exactly the identity.
+fn exact_state(model: &SelectedModel, candidates: &CandidateCauses) -> State {
+    let is_cause =
+        |cause: Cause| model.causes.contains(&cause) || candidates.always.contains(&cause);
+    let mut state = model.state.clone();
+    for (s, stream) in state.streams.iter_mut().enumerate() {
+        if !is_cause(Cause::Reference(s)) && stream.round_reference.is_none() {
+            stream.reference = Pose::identity();
+        }
+        if !is_cause(Cause::Tool(s)) && stream.round_tool.is_none() {
+            stream.tool = Pose::identity();
+        }
+    }
+    state
 }
 
 /// Drops causes that usual link deviations imitate in stream `s`, if a nominal model explains the residual.
@@ -486,4 +540,61 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
         stream.round_reference = observations.reference_known.then_some(round);
     }
     Some(state)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_random::Lcg;
+    use crate::{ArmDiagnosis, Measured, diagnose_arm};
+    use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// Diagnosis of a deviating arm that moves by a few degrees, with an elbow zero and a tool.
+    fn diagnosed(link_m: f64, zero_rad: f64, tool: &Pose) -> ArmDiagnosis {
+        let (mut joints, chain) = arm();
+        for values in [&mut joints.q, &mut joints.qd] {
+            values.iter_mut().for_each(|value| *value *= 0.05);
+        }
+        for q in joints.q.chunks_mut(6) {
+            let middle = [0.3, -1.2, 1.5, -1.9, -1.6, 0.2];
+            q.iter_mut().zip(middle).for_each(|(q, middle)| *q += middle);
+        }
+        let deviating = deviating_chain(link_m);
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).map(|q| {
+            let mut q = q.to_vec();
+            q[2] += zero_rad;
+            let pose = deviating.forward(&q) * tool;
+            (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+        });
+        let (xyz, rotations) = poses.unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0)
+    }
+
+    #[test]
+    fn in_a_small_motion_a_zero_is_likelier_than_the_tool_that_it_equals() {
+        let tool = pose([0.004, 0.012, 0.009], rotation_from_rotvec(Vec3::new(0.02, -0.01, 0.02)));
+        // Smaller zeros are no fault.
+        let zeros = |found: &ArmDiagnosis| -> Vec<(usize, Measured)> {
+            let zeros = found.joints.offsets.iter().enumerate();
+            let chosen = zeros.filter(|(_, zero)| zero.is_chosen);
+            let chosen = chosen.map(|(joint, zero)| (joint, zero.offset.clone().expect("a zero")));
+            chosen.filter(|(_, zero)| zero.value.abs() > 1e-3).collect()
+        };
+        for link_m in [1e-4, 2e-4] {
+            for zero_rad in [-0.035, 0.02] {
+                let found = zeros(&diagnosed(link_m, zero_rad, &Pose::identity()));
+                let [(2, zero)] = found.as_slice() else {
+                    panic!("{link_m} {zero_rad}: {found:?}")
+                };
+                assert!((zero.value - zero_rad).abs() < zero.half_width(0.99), "{zero:?}");
+            }
+            let found = diagnosed(link_m, 0.0, &tool);
+            assert!(found.streams[0].tool.as_ref().is_ok_and(|it| it.is_chosen), "{link_m}");
+            assert!(zeros(&found).is_empty(), "{link_m}: {:?}", zeros(&found));
+        }
+    }
 }

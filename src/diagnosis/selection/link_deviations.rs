@@ -17,7 +17,7 @@
 
 use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
-use crate::model::measurement::{PoseObservations, StreamState};
+use crate::model::measurement::{PoseObservations, State, StreamState};
 use crate::priors::{
     ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, MAX_LOG_RATIO_OF_CONFOUNDER,
     MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
@@ -240,6 +240,36 @@ pub(crate) fn causes_beyond_link_deviations(
         }
     }
     retained
+}
+
+/// The joint zero that is likelier than `frame` and than neither, beside the other `causes` and usual link deviations. In
+/// a small motion, any zero moves the tip as a tool does, but only in one direction.
+///
+/// The streams are linearised about `state`, which excludes the causes and the frame.
+pub(crate) fn zero_instead_of_frame(
+    observations: &[&PoseObservations],
+    state: &State,
+    frame: Cause,
+    causes: &[Cause],
+    zeros: impl Iterator<Item = Cause>,
+) -> Option<Cause> {
+    let model = |(observations, stream): (&&PoseObservations, &StreamState)| {
+        let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+        DeviationModel::linearize(observations, stream, &state.offsets, stride)
+    };
+    let models: Vec<DeviationModel> =
+        observations.iter().zip(&state.streams).map(model).collect::<Option<_>>()?;
+    let evidence = |cause: Option<Cause>| -> f64 {
+        let with: Vec<Cause> = causes.iter().copied().chain(cause).collect();
+        let of_stream = |(s, model): (usize, &DeviationModel)| {
+            model.evidence(&AdditionalCauses::for_stream(&with, observations[s], s))
+        };
+        models.iter().enumerate().map(of_stream).sum()
+    };
+    let scored = zeros.map(|zero| (evidence(Some(zero)), zero));
+    let (likeliest, zero) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let is_needed = || likeliest > evidence(None) + price(models[0].dof);
+    (likeliest > evidence(Some(frame)) && is_needed()).then_some(zero)
 }
 
 /// Ascending grid up to `max_size_m`.
