@@ -60,6 +60,7 @@ impl StreamSamples<'_> {
 pub(super) fn diagnose_with_compliance(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,
+    is_distinct: impl Fn(&ArmDiagnosis) -> bool,
 ) -> Option<ArmDiagnosis> {
     let ArmRun { joints, streams, is_prismatic, .. } = *run;
     let is_coded = diagnosis.joints.scales.iter().any(JointScale::is_coded);
@@ -72,9 +73,9 @@ pub(super) fn diagnose_with_compliance(
         return None;
     }
     let has_large = diagnosis.streams.iter().any(has_large_residual);
-    let diagnose_run = |run: &ArmRun, diagnosis: &ArmDiagnosis| match has_large {
-        true => run.fit_compliance(diagnosis),
-        false => run.test_zeros_as_sag(diagnosis),
+    let diagnose_run = |run: &ArmRun, diagnosis: &ArmDiagnosis| {
+        let fitted = has_large.then(|| run.fit_compliance(diagnosis)).flatten();
+        fitted.filter(&is_distinct).or_else(|| run.test_zeros_as_sag(diagnosis))
     };
     let encoding = match &diagnosis.joints.encoding {
         Ok(encoding) if !encoding.is_as_logged() => encoding,
@@ -195,15 +196,19 @@ impl ArmRun<'_> {
         let search = ComplianceSearch::new(self, &samples, MassModel::CANDIDATES[0])?;
         let mut with_confounders: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
-            let term = search.sag_like(column, zero);
-            let after = term.and_then(|term| self.diagnose_converged(&search, vec![term]));
-            let Some(after) = after.filter(has_unusual_compliance) else { continue };
+            let Some(term) = search.sag_like(column, zero) else { continue };
+            let refined = self.diagnose_converged(&search, vec![term]);
+            let is_refined = refined.is_some();
+            // A constant torque does not distinguish them.
+            let equal = || self.with_compliance(search.to_compliance(&[term]));
+            let after = refined.or_else(equal).filter(has_unusual_compliance);
+            let Some(after) = after else { continue };
             let is_zero_still_chosen =
                 after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
             let sag =
                 after.joints.compliance.first().map_or(0.0, |compliance| compliance.value.value);
             let gain = log_bayes_factor(&after, diagnosis);
-            if !is_zero_still_chosen && gain > MIN_LOG_RATIO_OF_SAG && !is_nominal {
+            if !is_zero_still_chosen && is_refined && gain > MIN_LOG_RATIO_OF_SAG && !is_nominal {
                 return Some(after);
             }
             if !is_zero_still_chosen && gain > -MAX_LOG_RATIO_OF_CONFOUNDER {
@@ -262,6 +267,12 @@ impl ArmRun<'_> {
             after = self.corrected(&search.to_compliance(&terms))?;
         }
         after.joints.compliance = search.to_compliance(&terms);
+        Some(after)
+    }
+
+    fn with_compliance(&self, compliances: Vec<JointCompliance>) -> Option<ArmDiagnosis> {
+        let mut after = self.corrected(&compliances)?;
+        after.joints.compliance = compliances;
         Some(after)
     }
 

@@ -97,15 +97,14 @@ impl<'a> ComplianceSearch<'a> {
             let turns = high - low > MIN_RANGE_RAD;
             let moves = high - low > 0.05;
             let orders = ECCENTRICITY_ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
-            let kinds = [BacklashCrossing::Gradual, BacklashCrossing::Sudden]
-                .into_iter()
+            let crossings = [BacklashCrossing::Gradual, BacklashCrossing::Sudden].into_iter();
+            let kinds = crossings
+                .filter(move |_| moves)
                 .map(ComplianceKind::Backlash)
+                // A joint at rest sags as well.
                 .chain(sags.then_some(ComplianceKind::Sag))
                 .chain(orders.filter(move |_| turns));
-            kinds
-                .filter(move |_| moves)
-                .map(move |kind| ComplianceTerm::new(column, kind))
-                .collect::<Vec<_>>()
+            kinds.map(move |kind| ComplianceTerm::new(column, kind)).collect::<Vec<_>>()
         };
         let used = |column: &usize| {
             !self.run.is_prismatic[*column]
