@@ -9,7 +9,7 @@ use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
 use crate::changes::{
     constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_encoding_changes,
-    diagnose_with_recorded_encoding_changes, is_explained_by_links,
+    diagnose_with_recorded_encoding_changes, is_explained,
 };
 use crate::compliance::{
     diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
@@ -39,10 +39,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
     if run.streams.len() < 2 || are_floating(run.streams) {
         return None;
     }
-    let is_explained = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
-        !has_slow_residual(found) || is_explained_by_links(found, stream)
-    };
-    let is_open = !together.streams.iter().zip(run.streams).all(is_explained);
+    let is_open = !together.is_explained(run.streams);
     // A stream in an unknown frame comes from an external sensor; one in the robot's frame may be the controller's.
     if !is_open && run.streams.iter().all(|stream| stream.reference_known) {
         return None;
@@ -52,7 +49,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         let found =
             may_be_derived.then(|| diagnose_derived(run.joints, None, stream, run.max_lag_s))?;
         let is_nominal = has_slow_residual(&found);
-        is_explained((&found, stream)).then_some(PoseDiagnosis {
+        is_explained(&found, stream).then_some(PoseDiagnosis {
             is_nominal,
             is_derived: true,
             ..found
@@ -111,11 +108,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let is_distinct = |it: &ArmDiagnosis| {
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
-    let is_explained = |it: &ArmDiagnosis| {
-        let mut streams = it.streams.iter().zip(run.streams);
-        !it.streams.iter().any(has_slow_residual)
-            || streams.all(|(found, stream)| is_explained_by_links(found, stream))
-    };
+    let is_explained = |it: &ArmDiagnosis| it.is_explained(run.streams);
     /// Of the residual, as between two interpretations of the joint states.
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
     let is_enough = |it: &ArmDiagnosis| {
@@ -131,7 +124,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let by_steps =
         diagnose_with_cause_changes(run, constant).filter(|it| !is_far || is_explained(it));
     let by_compliance =
-        gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant).filter(is_distinct));
+        gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant, is_distinct));
     let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
     // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
     let is_eccentric =

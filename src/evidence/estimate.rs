@@ -188,12 +188,17 @@ fn with_turn_by_imu(
         source.last_turn = last_turn;
     }
     let other = diagnose_one(run, &arm, max_lag_s);
-    let is_mounted_as_logged = |(imu, before): &(usize, MeasuredLength)| {
-        let error = other.imus[*imu].mount_rad.as_ref();
-        error.is_ok_and(|error| error.norm.value < MAX_REMAINING_SHARE * before.norm.value)
+    // A rotation about one axis shows some wrong mounts, but confirms none.
+    let is_mounted_as_logged =
+        |(imu, before): &(usize, MeasuredLength)| match &other.imus[*imu].mount_rad {
+            Ok(error) => error.norm.value < MAX_REMAINING_SHARE * before.norm.value,
+            Err(why) => *why == NotObservable::NotExcited,
+        };
+    let fits = || {
+        let streams: Vec<PoseStream> = arm.poses.iter().map(|it| run.pose_stream(it)).collect();
+        other.arm.is_as_good_as(&found.arm) || other.arm.is_explained(&streams)
     };
-    (imus.iter().all(is_mounted_as_logged) && other.arm.is_as_good_as(&found.arm))
-        .then_some((arm, other))
+    (imus.iter().all(is_mounted_as_logged) && fits()).then_some((arm, other))
 }
 
 /// Diagnosis with corrected stamps of one topic of joint states, if it then fits as well.

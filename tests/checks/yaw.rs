@@ -334,3 +334,17 @@ fn a_wrong_quaternion_order_is_not_reported_as_tilt() {
     let text = summary(&report.findings);
     assert!(report.findings.iter().all(|finding| finding.code != "YAW002"), "{text}");
 }
+
+/// A tool absorbs link deviations as well, but the IMU's mount is as in the log only with the zero.
+#[test]
+fn a_wrist_zero_offset_of_a_deviating_arm_is_no_mount_error() {
+    let report = Log::modified(|log| {
+        log.run.motion = Motion::OneJoint(0);
+        crate::checks::mdl::add_link_deviations_times(&mut log.run, 0.3);
+        log.run.joints.zero_offsets = crate::checks::zer::zero_offset(5, 2.0);
+    })
+    .report();
+    let codes: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    let has = |code: &str| codes.contains(&code);
+    assert!(has("ZER001") && !has("YAW003") && !has("FRM003"), "{}", summary(&report.findings));
+}

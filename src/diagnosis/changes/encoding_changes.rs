@@ -11,8 +11,7 @@ use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest}
 use super::patches::{decoded_poses, with_poses};
 use super::split_run::{Span, SplitRun};
 use super::{
-    ChangePoint, EncodingSpans, JointChange, JointPatch, constant_frames_suffice,
-    is_explained_by_links,
+    ChangePoint, EncodingSpans, JointChange, JointPatch, constant_frames_suffice, is_explained,
 };
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
@@ -37,9 +36,7 @@ pub(crate) fn diagnose_with_encoding_changes(
     constant: &ArmDiagnosis,
     diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
-        has_slow_residual(found) && !is_explained_by_links(found, stream)
-    };
+    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| !is_explained(found, stream);
     if !constant.streams.iter().zip(run.streams).any(is_open) {
         return None;
     }

@@ -16,7 +16,8 @@ mod split_run;
 mod step_test;
 
 use crate::residuals::cause_columns::CauseColumns;
-use crate::{PoseDiagnosis, PoseStream};
+use crate::residuals::comparison::has_slow_residual;
+use crate::{ArmDiagnosis, PoseDiagnosis, PoseStream};
 
 pub(super) use cause_changes::diagnose_with_cause_changes;
 pub use change_points::{
@@ -29,9 +30,19 @@ pub(super) use encoding_changes::{
 pub(super) use latency_steps::latency_steps;
 use step_test::has_unusual_zero;
 
-/// Whether usual link deviations and constant frames explain the residual of a stream.
-pub(super) fn is_explained_by_links(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
-    let columns = CauseColumns::new(diagnosis, stream.chain);
-    let is_far = diagnosis.residual.is_err() || diagnosis.is_far_from_fk();
-    !is_far && !columns.has_unexplained_residual() && !has_unusual_zero(&columns)
+impl ArmDiagnosis {
+    /// Whether noise, usual link deviations and constant frames explain the residuals of all streams.
+    pub fn is_explained(&self, streams: &[PoseStream]) -> bool {
+        self.streams.iter().zip(streams).all(|(found, stream)| is_explained(found, stream))
+    }
+}
+
+/// Whether noise, usual link deviations and constant frames explain the residual of a stream.
+pub(super) fn is_explained(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
+    let are_links_enough = || {
+        let columns = CauseColumns::new(diagnosis, stream.chain);
+        let is_far = diagnosis.residual.is_err() || diagnosis.is_far_from_fk();
+        !is_far && !columns.has_unexplained_residual() && !has_unusual_zero(&columns)
+    };
+    !has_slow_residual(diagnosis) || are_links_enough()
 }

@@ -7,7 +7,7 @@
 use super::system::{Coefficient, ComplianceSystem};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
-use crate::changes::is_explained_by_links;
+use crate::changes::is_explained;
 use crate::joints::MIN_MOTION_RAD;
 use crate::priors::{LINK_PRIOR_RAD, price};
 use crate::residuals::comparison::has_large_residual;
@@ -30,7 +30,7 @@ struct Gain {
 /// compliance and no changes, or if that has another encoding of the joint states.
 pub(crate) fn diagnose_with_gain(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
-        has_large_residual(found) && !is_explained_by_links(found, stream)
+        has_large_residual(found) && !is_explained(found, stream)
     };
     let is_applicable = !are_floating(run.streams)
         && diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged)
