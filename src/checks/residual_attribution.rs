@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, SubjectResult, find};
 use crate::diagnosis::{
-    ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, PartError, PoseDiagnosis,
-    ResidualCheck, StreamResidual,
+    ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, NotObservable, PartError,
+    PoseDiagnosis, ResidualCheck, StreamResidual,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
@@ -150,8 +150,10 @@ pub(super) fn attribute_residual(
     let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
-    // A stream computed from the joint states has no noise, and one far from FK does not vary by noise alone.
-    let noise_multiple = match is_tf(arm, stream) || diagnosis.is_far_from_fk() {
+    // A stream computed from the joint states has no noise, and one far from FK does not vary by noise alone, nor do
+    // orientations that do not follow the arm.
+    let is_unread = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
+    let noise_multiple = match is_tf(arm, stream) || diagnosis.is_far_from_fk() || is_unread {
         true => 0.0,
         false => MAX_NOISE_RATIO,
     };
@@ -205,6 +207,7 @@ pub(super) fn attribute_residual(
         }
         Some(residual)
             if residual.is_significant_over_run(thresholds)
+                || is_unread
                 || repeats_with_configuration(diagnosis, thresholds, subjects) =>
         {
             return Some(Attribution::Unexplained(residual));
@@ -303,7 +306,8 @@ fn repeats_with_configuration(
 }
 
 impl ExceedingResidual {
-    /// Parts that reach the thresholds and exceed `noise_multiple` times the noise.
+    /// Parts that reach the thresholds and exceed `noise_multiple` times the noise. Noise that is itself an error hides
+    /// nothing.
     fn from_error(
         error: &FkError,
         thresholds: &FrameThresholds,
@@ -313,7 +317,8 @@ impl ExceedingResidual {
         for (size, threshold) in with_thresholds(error, thresholds) {
             parts.extend(size.parts.iter().filter_map(|part| {
                 let ErrorMagnitude { quantile_95: most, noise, .. } = part.magnitude;
-                let is_more = most > noise_multiple * noise.map_or(0.0, |noise| noise.quantile_95);
+                let noise = noise.map_or(0.0, |noise| noise.quantile_95);
+                let is_more = most > noise_multiple * noise || noise > threshold.error;
                 let severity = threshold.severity(most).filter(|_| is_more)?;
                 Some((most / threshold.warning, severity, *part))
             }));
