@@ -149,10 +149,13 @@ pub(super) fn attribute_residual(
 ) -> Option<Attribution> {
     let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
-    let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
-    // A stream computed from the joint states has no noise, and one far from FK does not vary by noise alone, nor do
-    // orientations that do not follow the arm.
-    let is_unread = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
+    let is_unread = stream.reference_known && is_unread(diagnosis);
+    let corrected = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
+    // Orientations that do not follow the arm are not corrected.
+    let angle = if is_unread { &proof.as_logged.angle } else { &corrected.angle };
+    let explained = &FkError { length: corrected.length.clone(), angle: angle.clone() };
+    // A stream computed from the joint states has no noise. One far from FK, and orientations that do not follow the arm,
+    // do not vary by noise alone.
     let noise_multiple = match is_tf(arm, stream) || diagnosis.is_far_from_fk() || is_unread {
         true => 0.0,
         false => MAX_NOISE_RATIO,
@@ -236,6 +239,11 @@ pub(super) fn attribute_residual(
             },
         },
     )
+}
+
+/// Whether orientations do not follow the arm in any known encoding.
+pub(super) fn is_unread(diagnosis: &PoseDiagnosis) -> bool {
+    matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)))
 }
 
 /// Whether small changes of all links explain most of a residual.

@@ -5,7 +5,10 @@ use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
 
-use poseaudit::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rotvec, xyz_of};
+use poseaudit::geometry::{
+    Convention, Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyz_of,
+    xyzw_from_rotation,
+};
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
@@ -14,6 +17,7 @@ use poseaudit::synth::{LoggedEncoding, Noise, POSE, Scenario, urdf_text};
 use crate::checks::case::ExpectedEstimate::{Frame, ResidualBetween};
 use crate::checks::case::ExpectedSubject::Topic;
 use crate::checks::case::{Expected, Log, cases, error, info, single_finding, summary};
+use crate::checks::recording::Field;
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding};
 
 cases! {
@@ -229,4 +233,26 @@ pub fn move_joint_origin(run: &mut Scenario, joint: &str, by: [f64; 6]) {
     run.robot = Robot::from_urdf(&changed_urdf, "an altered arm").expect("a robot");
     run.has_description = false;
     run.tf.timing.rate_hz = 0.0;
+}
+
+/// The commonest mistake with Euler angles. Differences between samples are as large as the error, but no noise.
+#[test]
+fn orientations_from_degrees_taken_as_radians_do_not_pass() {
+    let report = Log::modified(|log| {
+        log.edit = Some(|messages| {
+            for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+                for field in message.fields() {
+                    let Field::Xyzw(at) = field else { continue };
+                    let rotation =
+                        rotation_from_xyzw(message.floats(at)).expect("a unit quaternion");
+                    let degrees = Convention::RPY.numbers(&rotation).map(f64::to_degrees);
+                    let wrong = xyzw_from_rotation(&Convention::RPY.rotation(degrees));
+                    message.set_floats(at, &wrong);
+                }
+            }
+        });
+    })
+    .report();
+    let finding = single_finding(&report, "MDL001", POSE);
+    assert!(finding.message.starts_with("orientations differ from FK by 1"), "{}", finding.message);
 }

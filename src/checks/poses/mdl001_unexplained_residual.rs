@@ -6,7 +6,7 @@ use crate::checks::decision::not_observable;
 use crate::checks::encoding::{encoding_names, rotation_not_checked};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::residual_attribution::{
-    Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
+    Attribution, CauseOutcomes, ExceedingResidual, attribute_residual, is_unread,
 };
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{
@@ -27,8 +27,9 @@ rule! {
     /// Every stream is compared with FK independently of the estimators, by the 95th percentile of the raw
     /// error over the moving run and its tenths. If that reaches the thresholds, the other rules' findings
     /// must explain it. The corrected error in every tenth must then be below the thresholds, or at most
-    /// twice the sample-to-sample noise. A larger residual has no modelled cause: kinematic parameters, a
-    /// bent link, gear error, a slow change during the run, or a different arm.
+    /// twice the sample-to-sample noise, if that noise is not itself an error. A larger residual has no
+    /// modelled cause: kinematic parameters, a bent link, gear error, a slow change during the run, or a
+    /// different arm. Orientations that do not follow the arm in any known convention are a finding.
     ///
     /// For an IMU: residuals of orientation and gyro after correction, relative error of the gyro's scale
     /// (`gyro gain`), and a full-scale rate below the arm's (`gyro saturation`).
@@ -296,6 +297,7 @@ fn outcome(
     attributed: &AttributedStream,
     all: &[AttributedStream],
 ) -> Outcome {
+    let thresholds = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
     let settle = settle(&attributed.subject);
     let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
@@ -342,6 +344,12 @@ fn outcome(
         }
         Attribution::Unexplained(residual) if attributed.is_mismatched() => {
             Outcome::fail(disagreement(attributed, residual))
+        }
+        Attribution::Unexplained(residual)
+            if is_unread(&attributed.stream.diagnosis)
+                && residual.error.length.whole.rms < thresholds.length.warning =>
+        {
+            Outcome::fail(unread_orientations(case, residual))
         }
         Attribution::Unexplained(residual) => {
             Outcome::fail(unexplained(case, attributed, all, residual))
@@ -528,6 +536,28 @@ fn unexplained(
         message,
         evidence,
         fix,
+    }
+}
+
+fn unread_orientations(case: &Case, residual: &ExceedingResidual) -> Fault {
+    let FkError { length, angle } = &residual.error;
+    let positions = Unit::Metre.show(length.whole.rms);
+    let angle = angle.as_ref().map_or(0.0, |angle| angle.whole.rms);
+    let said = format!(
+        "orientations differ from FK by {} rms in every known convention, while positions agree to {positions}",
+        Unit::Radian.show(angle)
+    );
+    Fault {
+        severity: residual.severity,
+        cause: Cause::Disagreement { description: said.clone() },
+        title: "orientations do not follow the arm",
+        message: said,
+        evidence: Evidence {
+            effect: Some(describe_residual(case, residual)),
+            ..Evidence::default()
+        },
+        fix: "check how the orientations are computed: Euler angles in degrees that are taken as radians look like this"
+            .to_owned(),
     }
 }
 
