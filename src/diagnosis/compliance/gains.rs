@@ -4,12 +4,13 @@
 //! of a joint that is proportional to its own or another joint's position is tested together with constant causes and link
 //! deviations.
 
+use super::shapes::USUAL_COMPLIANCE_RAD;
 use super::system::{Coefficient, ComplianceSystem};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::changes::is_explained;
 use crate::joints::MIN_MOTION_RAD;
-use crate::priors::{LINK_PRIOR_RAD, price};
+use crate::priors::price;
 use crate::residuals::comparison::has_large_residual;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{
@@ -71,8 +72,8 @@ impl ArmRun<'_> {
         let gained = system.cost(&[]) - cost(&best);
         let gain = Gain { amount: system.best_value(best), ..gains[best] };
         let [low, high] = range(&joints.q, gain.by, joints.dof);
-        // A usual link deviation has a larger effect than a smaller gain.
-        let is_large = gain.amount.abs() * 0.5 * (high - low) > LINK_PRIOR_RAD;
+        // Usual sag and eccentricity have a larger effect than a smaller gain.
+        let is_large = gain.amount.abs() * 0.5 * (high - low) > USUAL_COMPLIANCE_RAD;
         let is_worth_it = gained > price(system.independent()) + selection_price;
         (is_large && is_worth_it).then_some((gain, selection_price))
     }
