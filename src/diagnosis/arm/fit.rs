@@ -14,7 +14,8 @@ use crate::selection::link_deviations::{
     LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations, zero_instead_of_frame,
 };
 use crate::selection::model_selection::{
-    CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, select_from_starts, select_model,
+    CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, or_without_causes,
+    select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{
     MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms, skew_beside_link_deviations,
@@ -120,6 +121,7 @@ fn fit_with_link_deviations(
             Start::Final(model) => *model,
             Start::At(state) => select_model(&observations, state, &candidates, FIT_SAMPLES),
         };
+        let model = or_without_causes(&observations, model, &candidates, FIT_SAMPLES);
         (model, candidates)
     };
     let (mut model, mut candidates) = fit_with(false);

@@ -2,6 +2,7 @@
 //!
 //! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
 
+use super::nominal_model::rms;
 use crate::Measured;
 use crate::model::measurement::{
     LATENCY_COLUMN, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, RADIAL_SCALE_COLUMN,
@@ -466,6 +467,49 @@ pub(crate) fn select_model(
 
 const MAX_ROUNDS: usize = 12;
 
+/// Of the noise, between models. A smooth residual keeps enough samples.
+const MAX_INFLATION: f64 = 20.0;
+
+/// The model without optional causes if it is likelier. Linearised steps can leave it for a worse one.
+pub(crate) fn or_without_causes(
+    observations: &[&PoseObservations],
+    model: SelectedModel,
+    candidates: &CandidateCauses,
+    max_samples: usize,
+) -> SelectedModel {
+    /// Of residuals, so that models with fewer causes may be likelier.
+    const MAX_RATIO: f64 = 2.0;
+    let mut start = model.state.clone();
+    model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
+    let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
+    let is_near = |linear: &Linearized| {
+        let pairs = linear.streams.iter().zip(&model.linear.streams);
+        pairs.into_iter().all(|(without, with)| {
+            let [without, with] = [without, with].map(|it| rms(&it.residual[0]));
+            without < MAX_RATIO * with
+        })
+    };
+    if model.causes.is_empty() {
+        return model;
+    }
+    let linear = Linearized::new(observations, &start, max_samples, &without.always);
+    if !is_near(&linear) {
+        return model;
+    }
+    let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
+    let without = continue_rounds(observations, (start, &linear), &without, max_samples, rounds);
+    // Rounded positions repeat with the configuration, so the noise is as correlated as without the causes.
+    let gain = |(with, without): (Noise, Noise)| {
+        let inflation = with.inflation().max(without.inflation()).min(MAX_INFLATION);
+        (without.sigma / with.sigma).ln() / inflation
+    };
+    let samples = |stream: &Linear| [2.0 * 3.0 * stream.len() as f64; 2];
+    let samples = model.linear.streams.iter().flat_map(samples);
+    let gains = samples.zip(model.noise().into_iter().zip(without.noise()).map(gain));
+    let gained: f64 = gains.map(|(samples, gain)| samples * gain).sum();
+    if gained > model.price() - without.price() { model } else { without }
+}
+
 /// Best model of one stream from several `starts`. Few rounds of each show which to continue, if any.
 pub(crate) fn select_from_starts(
     observations: &PoseObservations,
@@ -578,9 +622,8 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
     let noises: Vec<Vec<Noise>> = models.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)));
-    // Capped, so a smooth residual keeps enough samples.
     let inflations: Vec<f64> =
-        quietest.into_iter().flatten().map(|noise| noise.inflation().min(20.0)).collect();
+        quietest.into_iter().flatten().map(|noise| noise.inflation().min(MAX_INFLATION)).collect();
     let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / model.linear.streams.len().max(1);
         let samples = model
