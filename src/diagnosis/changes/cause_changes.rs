@@ -677,7 +677,7 @@ fn refined(
     mut tracks: Vec<Option<PoseTrack>>,
 ) -> Removal {
     const MAX_ROUNDS: usize = 2;
-    /// Of the changes so far, for another round.
+    /// Of the changes so far, for another diagnosis.
     const MIN_RELATIVE_STEP: f64 = 0.02;
     for _ in 0..MAX_ROUNDS {
         let steady = Stream::all(run, &removal.after);
@@ -688,12 +688,14 @@ fn refined(
         let norm = |changes: &[Change]| -> f64 {
             changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
         };
-        if norm(&more) < MIN_RELATIVE_STEP * norm(&removal.changes) {
+        let is_small = norm(&more) < MIN_RELATIVE_STEP * norm(&removal.changes);
+        let mut changes = removal.changes.clone();
+        changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
+        if is_small {
+            removal.changes = changes;
             break;
         }
         take_from(&mut tracks, &steady, &more);
-        let mut changes = removal.changes.clone();
-        changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
         let next = Removal::new(run, before, &tracks, changes);
         if !next.explains_more_than(&steady, run) {
             break;
