@@ -88,6 +88,18 @@ pub(crate) fn decode_stream<'a>(
             }
         }
     }
+    if reference_known && !interpretations.is_empty() {
+        // Joint zeros can turn the frame that fits the positions of a small motion.
+        let declared = PositionInterpretation {
+            axes: AxesError::NONE,
+            is_inverted: false,
+            reference: Some(Rotation::identity()),
+            ..interpretations[0]
+        };
+        if !interpretations.iter().any(|known| known.has_rotations_of(&declared)) {
+            interpretations.push(declared);
+        }
+    }
     if interpretations.is_empty() {
         interpretations.push(PositionInterpretation {
             metres,
