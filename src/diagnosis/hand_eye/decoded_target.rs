@@ -1,6 +1,7 @@
 //! Target poses decoded from another encoding.
 
-use super::series::PoseSeries;
+use super::CameraMount;
+use super::series::{HandEyeSetting, PoseSeries};
 use ground::geometry::{
     MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_xyzw,
     xyzw_from_rotation,
@@ -50,23 +51,24 @@ impl TargetScaleError {
 
 #[derive(Clone, Copy)]
 pub(super) struct DecodedTarget<'a> {
-    pub series: &'a PoseSeries,
+    series: &'a PoseSeries,
     pub encoding: TargetEncoding,
-    pub stride: usize,
+    stride: usize,
 }
 
 impl<'a> DecodedTarget<'a> {
     /// Thinned to about `most` poses.
-    pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
+    pub fn new(series: &'a PoseSeries, encoding: TargetEncoding, most: usize) -> Self {
         let stride = series.t_s.len().div_ceil(most).max(1);
-        Self { series, encoding: TargetEncoding::AsLogged, stride }
+        Self { series, encoding, stride }
     }
 
-    /// Decoded poses with stamps.
-    pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
+    /// Hand and decoded target.
+    pub fn setting<'h>(&self, hand: &'h PoseSeries, mount: CameraMount) -> HandEyeSetting<'h> {
         let mut truths = Vec::new();
         let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
-        stamped.map(move |(&t_s, pose)| (t_s, self.encoding.decode(pose, &mut truths)))
+        let poses = stamped.map(|(&t_s, pose)| (t_s, self.encoding.decode(pose, &mut truths)));
+        HandEyeSetting::new(hand, poses, mount)
     }
 }
 

@@ -3,14 +3,14 @@
 //! X)⁻¹ · Y`.
 
 use super::series::{HandEyeSetting, PoseSeries};
-use super::start::{HandEyeStart, combined_rad};
+use super::start::{HandEyeStart, MEDIAN_NORMAL_LENGTH, combined_rad};
 use super::{CameraMount, CameraPose, MIN_POSES};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Measured;
 use ground::stats::median;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
 pub(crate) const WIDTH: usize = 13;
@@ -51,58 +51,28 @@ impl HandEyeFit {
     pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
         let Self { camera, constant, offset_s, .. } = *self;
         let state = HandEyeState { camera, constant, offset_s: offset_s.value };
-        let linear = state.linear(setting, &self.keep);
-        let predicted: Vec<Vec3> = setting
-            .targets
-            .iter()
-            .zip(&self.keep)
-            .filter_map(|((t_s, _), keep)| {
-                let carrier_pose = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
-                Some(state.predict(&carrier_pose).translation.vector)
+        let poses = setting.targets.iter().zip(&self.keep).filter(|(_, keep)| **keep);
+        let distances_m: Vec<f64> = poses
+            .filter_map(|((t_s, _), _)| {
+                let carrier_pose = setting.carrier_at(t_s - state.offset_s)?;
+                Some(state.predict(&carrier_pose).translation.vector.norm())
             })
             .collect();
-        let distance_m =
-            predicted.iter().map(|xyz| xyz.norm()).sum::<f64>() / predicted.len().max(1) as f64;
-        let deep = |xyz: &Vec3| Vec3::ith(along, xyz[along]);
-        Self::scale_of(&linear, &predicted, Vec3::clone)
-            .zip(Self::scale_of(&linear, &predicted, deep))
-            .map_or_else(
-                || TargetScale::unknown(along, distance_m),
-                |(size, depth)| TargetScale { size, depth, along, distance_m },
-            )
-    }
-
-    /// Scale of the component selected by `stretched`.
-    fn scale_of(
-        linear: &Linear,
-        predicted: &[Vec3],
-        stretched: impl Fn(&Vec3) -> Vec3,
-    ) -> Option<Measured> {
-        let mut wider = Linear::new(WIDTH + 1, &NOISE_FLOOR_M_RAD);
-        for (sample, xyz) in predicted.iter().enumerate() {
-            let mut rows = wider.push(&[linear.residual[0][sample], linear.residual[1][sample]]);
-            for kind in 0..2 {
-                let row = |axis: usize| linear.row(sample, 3 * kind + axis);
-                for column in 0..WIDTH {
-                    rows.set(kind, column, [0, 1, 2].map(|axis| row(axis)[column]));
-                }
-            }
-            rows.set(0, WIDTH, stretched(xyz).into());
-        }
-        let all: Vec<usize> = (0..=WIDTH).collect();
-        let mut normal = Normal::zeros(WIDTH + 1);
-        wider.accumulate(&wider.weights_after(&[0.0; WIDTH + 1]), &all, &mut normal);
-        let step = normal.step(&nalgebra::DVector::zeros(WIDTH + 1), &all);
-        let weights = wider.weights_after(step.as_slice());
-        let targets: Vec<Option<usize>> = all.iter().copied().map(Some).collect();
-        let mut information = DMatrix::zeros(WIDTH + 1, WIDTH + 1);
-        let mut scores = information.clone();
-        wider.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
-        let variance = sandwich(&information, &scores)[(WIDTH, WIDTH)];
-        let dof = (3.0 * wider.len() as f64 / weights.first()?.noise.inflation()
-            - (WIDTH + 1) as f64)
-            .max(3.0);
-        Some(Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof })
+        let distance_m = distances_m.iter().sum::<f64>() / distances_m.len().max(1) as f64;
+        let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
+            let linear = state.linear(setting, &self.keep, Some(stretched));
+            let mut normal = Normal::zeros(linear.width);
+            let all: Vec<usize> = (0..linear.width).collect();
+            linear.accumulate(&linear.weights_after(&vec![0.0; linear.width]), &all, &mut normal);
+            let step = normal.step(&DVector::zeros(linear.width), &all);
+            let weights = linear.weights_after(step.as_slice());
+            let variance = covariance_of(&linear, &weights)[(WIDTH, WIDTH)];
+            let independent = 3.0 * linear.len() as f64 / weights[0].noise.inflation();
+            let dof = (independent - linear.width as f64).max(3.0);
+            Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof }
+        };
+        let deep = |xyz: Vec3| Vec3::ith(along, xyz[along]);
+        TargetScale { size: factor(&|xyz| xyz), depth: factor(&deep), along, distance_m }
     }
 
     /// Combined residual, rad.
@@ -153,11 +123,6 @@ impl HandEyeFit {
 }
 
 impl TargetScale {
-    fn unknown(along: usize, distance_m: f64) -> Self {
-        let nothing = Measured { value: 1.0, std_error: f64::INFINITY, dof: 3.0 };
-        Self { size: nothing, depth: nothing, along, distance_m }
-    }
-
     /// Depth error at the mean distance by the more significant factor.
     pub fn effect_m(&self) -> Measured {
         let deviation = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
@@ -199,11 +164,17 @@ impl HandEyeState {
         }
     }
 
-    /// Linearises at the poses selected by `keep`.
-    fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
+    /// Linearises at the poses selected by `keep`. A last column contains the component of the target's position
+    /// that `stretched` selects, if any.
+    fn linear(
+        &self,
+        setting: &HandEyeSetting,
+        keep: &[bool],
+        stretched: Option<&dyn Fn(Vec3) -> Vec3>,
+    ) -> Linear {
         /// For the hand's velocity.
         const STEP_S: f64 = 0.01;
-        let mut linear = Linear::new(WIDTH, &NOISE_FLOOR_M_RAD);
+        let mut linear = Linear::new(WIDTH + usize::from(stretched.is_some()), &NOISE_FLOOR_M_RAD);
         for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
             let (true, Some(carrier_pose)) = (*keep, at(0.0)) else { continue };
@@ -224,6 +195,9 @@ impl HandEyeState {
                 rows.set(0, OFFSET_COLUMN, (shift / (2.0 * STEP_S)).into());
                 rows.set(1, OFFSET_COLUMN, (turn / (2.0 * STEP_S)).into());
             }
+            if let Some(stretched) = stretched {
+                rows.set(0, WIDTH, stretched(observed).into());
+            }
         }
         linear
     }
@@ -239,7 +213,7 @@ pub(crate) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -
     let targets = t_s.iter().map(|&t_s| (t_s, target));
     let setting = HandEyeSetting::new(&series, targets, CameraMount::InHand);
     let state = HandEyeState { camera, constant, offset_s: 0.0 };
-    state.linear(&setting, &vec![true; t_s.len()])
+    state.linear(&setting, &vec![true; t_s.len()], None)
 }
 
 /// `None` if fewer than [`MIN_POSES`] poses remain.
@@ -273,7 +247,7 @@ fn iterate(
     keep: &[bool],
 ) -> Option<HandEyeState> {
     const MAX_HALVINGS: usize = 6;
-    let mut linear = state.linear(setting, keep);
+    let mut linear = state.linear(setting, keep, None);
     let mut weights = linear.first_weights();
     for _ in 0..MAX_ROUNDS {
         if linear.len() < MIN_POSES {
@@ -281,11 +255,11 @@ fn iterate(
         }
         let normal = normal_of(&linear, &weights);
         let all: Vec<usize> = (0..WIDTH).collect();
-        let mut step = normal.step(&nalgebra::DVector::zeros(WIDTH), &all);
+        let mut step = normal.step(&DVector::zeros(WIDTH), &all);
         let mut next = None;
         for _ in 0..MAX_HALVINGS {
             let moved = state.stepped(step.as_slice());
-            let there = moved.linear(setting, keep);
+            let there = moved.linear(setting, keep, None);
             // The offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
             if !same || normal_of(&there, &weights).cost <= normal.cost {
@@ -297,8 +271,7 @@ fn iterate(
         let Some((moved, there)) = next else { break };
         state = moved;
         linear = there;
-        let zero = [0.0; WIDTH];
-        weights = linear.weights_after(&zero);
+        weights = linear.weights_after(&[0.0; WIDTH]);
         let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
         if is_small && step[OFFSET_COLUMN].abs() < 1e-8 {
             break;
@@ -314,27 +287,30 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
     normal
 }
 
+/// Of all parameters; infinite variances if not observable.
+fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
+    let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
+    let mut information = DMatrix::zeros(linear.width, linear.width);
+    let mut scores = information.clone();
+    linear.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+    sandwich(&information, &scores)
+}
+
 fn with_covariance(
     state: HandEyeState,
     setting: &HandEyeSetting,
     keep: &[bool],
 ) -> Option<HandEyeFit> {
-    let linear = state.linear(setting, keep);
+    let linear = state.linear(setting, keep, None);
     if linear.len() < MIN_POSES {
         return None;
     }
     let weights = linear.weights_after(&[0.0; WIDTH]);
-    let mut information = DMatrix::zeros(WIDTH, WIDTH);
-    let mut scores = DMatrix::zeros(WIDTH, WIDTH);
-    let columns: Vec<Option<usize>> = (0..WIDTH).map(Some).collect();
-    linear.accumulate_covariance(&weights, &columns, &mut information, &mut scores);
-    let covariance = sandwich(&information, &scores);
+    let covariance = covariance_of(&linear, &weights);
     let independent: f64 =
         weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
-        /// Length of three normal components, in standard deviations.
-        const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
         median(&mut norms).unwrap_or(0.0) / MEDIAN_NORMAL_LENGTH

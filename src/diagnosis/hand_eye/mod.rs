@@ -24,6 +24,7 @@ use crate::latency::correlation::{self, LagPeak, SpeedSeries};
 use crate::{EstimateResult, FrameEstimate, NotObservable};
 use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
+use nalgebra::{DMatrix, DVector};
 
 use closure::closure_error;
 use decoded_target::DecodedTarget;
@@ -32,7 +33,6 @@ use diversity::rotation_diversity;
 pub use fit::TargetScale;
 use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
-use series::HandEyeSetting;
 pub use series::PoseSeries;
 use target_encoding::better_encoding;
 
@@ -197,27 +197,21 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
     }
     let peaks = rotation_lag_peaks(hand, target, max_lag_s);
     let lags = candidate_lags(&peaks);
-    let as_logged = DecodedTarget::as_logged(target, MAX_FIT_POSES);
+    let as_logged = DecodedTarget::new(target, TargetEncoding::AsLogged, MAX_FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
-    let observed = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
-    let have = observed.count_at(lag_s);
-    let diversity = rotation_diversity(&observed, lag_s);
-    let solution = match have {
-        MIN_POSES.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
-        _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
+    let observed = as_logged.setting(hand, CameraMount::InHand);
+    let diversity = match observed.count_at(lag_s) {
+        MIN_POSES.. => Ok(rotation_diversity(&observed, lag_s)),
+        have => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
     };
-    let reading = match &solution {
-        Ok(solution) => better_encoding(streams, solution, lag_s),
-        Err(_) => None,
-    };
+    let solution = diversity.clone().and_then(|_| {
+        solve(streams, TargetEncoding::AsLogged, lag_s).ok_or(NotObservable::NotExcited)
+    });
     let mut diagnosis = HandEyeDiagnosis {
         follows: peaks.first().copied(),
-        diversity: match have {
-            MIN_POSES.. => Ok(diversity),
-            _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
-        },
+        diversity,
+        alternative: solution.as_ref().ok().and_then(|it| better_encoding(streams, it, lag_s)),
         solution,
-        alternative: reading,
         latency_s: Err(NotObservable::NotExcited),
         mount_error: None,
         view: series::mean_direction(target),
@@ -256,12 +250,10 @@ fn latency(
     }
     let encoding =
         found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(encoding, _)| *encoding);
-    let target =
-        DecodedTarget { encoding, ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES) };
     let min_separation_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
     let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > min_separation_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
-        let other = solve(streams, &target, lag_s)?;
+        let other = solve(streams, encoding, lag_s)?;
         let is_as_good = other.misfit_rad < MAX_RESIDUAL_RATIO * best.misfit_rad;
         Some(other.offset_s.value).filter(|offset_s| is_as_good && is_other(offset_s))
     });
@@ -292,41 +284,38 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
 
 /// Smallest closure error of the closed form.
 fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
-    let misfit = |lag_s: f64| {
-        let misfits = CameraMount::ALL.map(|mount| {
-            let setting = HandEyeSetting::new(hand, target.poses(), mount);
-            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))
-                .map_or(f64::MAX, |s| s.misfit)
-        });
-        misfits[0].min(misfits[1])
-    };
-    match lags {
-        [only] => *only,
-        lags => lags
-            .iter()
-            .map(|&lag_s| (misfit(lag_s), lag_s))
-            .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map_or(0.0, |(_, lag_s)| lag_s),
+    if let [only] = lags {
+        return *only;
     }
+    let misfit = |lag_s: f64| {
+        let starts = CameraMount::ALL
+            .map(|mount| start::solve_closed_form(&target.setting(hand, mount), lag_s));
+        starts.into_iter().flatten().map(|start| start.misfit).fold(f64::MAX, f64::min)
+    };
+    let misfits = lags.iter().map(|&lag_s| (misfit(lag_s), lag_s));
+    misfits.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, lag_s)| lag_s)
 }
 
 /// Solves for both mountings; the smaller residual wins.
-fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option<HandEyeSolution> {
+fn solve(
+    streams: &HandEyeStreams,
+    encoding: TargetEncoding,
+    lag_s: f64,
+) -> Option<HandEyeSolution> {
+    let target = DecodedTarget::new(streams.target, encoding, MAX_FIT_POSES);
     let fits = CameraMount::ALL.map(|mount| {
-        let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
-        let start =
-            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))?;
-        let fit = fit(&setting, start, lag_s)?;
+        let setting = target.setting(streams.hand, mount);
+        let fit = fit(&setting, start::solve_closed_form(&setting, lag_s)?, lag_s)?;
         Some((mount, fit.misfit(), fit))
     });
     let mut fits: Vec<(CameraMount, f64, HandEyeFit)> = fits.into_iter().flatten().collect();
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
     let (mount, misfit, fit) = fits.into_iter().next()?;
-    let full = DecodedTarget { series: streams.target, encoding: target.encoding, stride: 1 };
-    let closure = closure_error(&HandEyeSetting::new(streams.hand, full.poses(), mount), &fit)?;
+    let full = DecodedTarget::new(streams.target, encoding, usize::MAX);
+    let closure = closure_error(&full.setting(streams.hand, mount), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
-    let scale = fit.scale(&HandEyeSetting::new(streams.hand, target.poses(), mount), along);
+    let scale = fit.scale(&target.setting(streams.hand, mount), along);
     let offset_s =
         Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
     Some(HandEyeSolution {
@@ -351,14 +340,8 @@ fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<F
     let pose = logged.inverse() * camera.pose;
     let turned = rotvec_from_rotation(&pose.rotation);
     let of = |vector: [f64; 3], errors: [f64; 3]| {
-        let covariance =
-            nalgebra::DMatrix::from_fn(
-                3,
-                3,
-                |i, j| {
-                    if i == j { errors[i] * errors[i] } else { 0.0 }
-                },
-            );
+        let variances = DVector::from_column_slice(&errors.map(|error| error * error));
+        let covariance = DMatrix::from_diagonal(&variances);
         errors
             .iter()
             .all(|error| error.is_finite())

@@ -1,14 +1,14 @@
 //! Initial camera pose in closed form.
 
-use super::series::PosePair;
+use super::series::{HandEyeSetting, PosePair};
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
 };
 use ground::stats::median;
-use nalgebra::{Matrix3, Matrix6, Vector6};
+use nalgebra::{Matrix3, SMatrix, SVector};
 
-pub(super) const MAX_CLOSED_FORM_POSES: usize = 150;
+const MAX_CLOSED_FORM_POSES: usize = 150;
 /// From the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
@@ -26,9 +26,10 @@ pub(super) fn combined_rad(length_m: f64, angle_rad: f64) -> f64 {
 
 /// Park and Martin's solution. `None` if the orientations do not vary. Rotations about a single axis leave
 /// several camera rotations; their positions then decide.
-pub(super) fn solve_closed_form(pairs: &[PosePair]) -> Option<HandEyeStart> {
-    let rotations = camera_rotations(pairs)?;
-    let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
+pub(super) fn solve_closed_form(setting: &HandEyeSetting, lag_s: f64) -> Option<HandEyeStart> {
+    let pairs = setting.pairs_at(lag_s, MAX_CLOSED_FORM_POSES);
+    let rotations = camera_rotations(&pairs)?;
+    let starts = rotations.iter().filter_map(|rotation| with_rotation(&pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
@@ -44,9 +45,10 @@ fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart
         .map(|pair| pair.carrier_pose.rotation * rotation * pair.target.rotation)
         .collect();
     let constant_rotation = medoid_rotation(&constants)?;
-    let (camera_xyz, constant_xyz) = translations(pairs, &rotation)?;
-    let camera = pose(camera_xyz.into(), rotation);
-    let constant = pose(constant_xyz.into(), constant_rotation);
+    let translations = fit_positions(pairs, &rotation, 0, &[])?.values;
+    let [camera, constant] = [(0, rotation), (3, constant_rotation)].map(|(first, rotation)| {
+        pose(Vec3::from(translations.fixed_rows::<3>(first)).into(), rotation)
+    });
     let mut misfits: Vec<f64> = pairs.iter().map(|pair| misfit(pair, &camera, &constant)).collect();
     Some(HandEyeStart { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
 }
@@ -139,46 +141,77 @@ fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
 
-/// Linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`, with Cauchy weights.
-fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
+/// Columns of the linear fit of positions: camera, constant, and two factors of the target's positions.
+const POSITION_COLUMNS: usize = 8;
+/// Factor of all coordinates of the target.
+pub(super) const SIZE_COLUMN: usize = 6;
+/// Additional factor of its depth.
+pub(super) const DEPTH_COLUMN: usize = 7;
+/// Length of three normal components, median in standard deviations.
+pub(super) const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
+
+/// Linear fit of positions for a known camera rotation.
+pub(super) struct PositionFit {
+    pub values: SVector<f64, POSITION_COLUMNS>,
+    /// Inverse of the normal equations.
+    pub inverse: SMatrix<f64, POSITION_COLUMNS, POSITION_COLUMNS>,
+    /// Median.
+    pub residual_m: f64,
+}
+
+/// Fits camera and constant with the `factors` (columns) of positions that are free; `along` is the depth axis.
+/// Linear in `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`, with Cauchy weights.
+pub(super) fn fit_positions(
+    pairs: &[PosePair],
+    rotation: &Rotation,
+    along: usize,
+    factors: &[usize],
+) -> Option<PositionFit> {
     const ROUNDS: usize = 4;
-    let rows: Vec<(Matrix3<f64>, Vec3)> = pairs
-        .iter()
-        .map(|PosePair { carrier_pose, target }| {
-            let observed = carrier_pose.rotation * (rotation * target.translation.vector);
-            let turned = carrier_pose.rotation.to_rotation_matrix();
-            (*turned.matrix(), -(observed + carrier_pose.translation.vector))
-        })
-        .collect();
-    let mut weights = vec![1.0; rows.len()];
-    let (mut camera, mut constant) = (Vec3::zeros(), Vec3::zeros());
-    for _ in 0..ROUNDS {
-        let (mut turns, mut at_camera, mut at_constant) =
-            (Matrix3::zeros(), Vec3::zeros(), Vec3::zeros());
-        for ((turned, observed), &weight) in rows.iter().zip(&weights) {
-            turns += turned * weight;
-            at_camera += turned.tr_mul(observed) * weight;
-            at_constant -= observed * weight;
+    let is_free = |column: usize| column < SIZE_COLUMN || factors.contains(&column);
+    let row = |PosePair { carrier_pose, target }: &PosePair| {
+        let base_from_camera = carrier_pose.rotation * rotation;
+        let observed = target.translation.vector;
+        let deep = base_from_camera * Vec3::ith(along, observed[along]);
+        let observed = base_from_camera * observed;
+        let mut row = SMatrix::<f64, 3, POSITION_COLUMNS>::zeros();
+        row.fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(carrier_pose.rotation.to_rotation_matrix().matrix());
+        row.fixed_view_mut::<3, 3>(0, 3).copy_from(&-Matrix3::identity());
+        let mut right = -carrier_pose.translation.vector;
+        match is_free(SIZE_COLUMN) {
+            true => row.set_column(SIZE_COLUMN, &observed),
+            false => right -= observed,
         }
-        let total: f64 = weights.iter().sum();
-        let mut normal = Matrix6::from_diagonal_element(total + 1e-9 * rows.len() as f64);
-        normal.fixed_view_mut::<3, 3>(3, 0).copy_from(&-turns);
-        normal.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turns.transpose());
-        let mut right = Vector6::zeros();
-        right.fixed_rows_mut::<3>(0).copy_from(&at_camera);
-        right.fixed_rows_mut::<3>(3).copy_from(&at_constant);
-        let solution = normal.cholesky()?.solve(&right);
-        camera = solution.fixed_rows::<3>(0).into();
-        constant = solution.fixed_rows::<3>(3).into();
-        let deviation: Vec<f64> = rows
-            .iter()
-            .map(|(turned, observed)| (turned * camera - constant - observed).norm())
-            .collect();
-        let scale = median(&mut deviation.clone()).unwrap_or(0.0).max(1e-9);
-        weights = deviation
-            .iter()
-            .map(|deviation| 1.0 / (1.0 + (deviation / (2.0 * scale)).powi(2)))
-            .collect();
+        if is_free(DEPTH_COLUMN) {
+            row.set_column(DEPTH_COLUMN, &deep);
+        }
+        (row, right)
+    };
+    let rows: Vec<_> = pairs.iter().map(row).collect();
+    // Keeps camera and constant apart if only their difference is observable, and fixed factors at zero.
+    let ridge = SVector::from_fn(|column, _| match column {
+        ..SIZE_COLUMN => 1e-9 * rows.len() as f64,
+        _ => f64::from(u8::from(!is_free(column))),
+    });
+    let mut weights = vec![1.0; rows.len()];
+    let mut fit = None;
+    for _ in 0..ROUNDS {
+        let mut normal = SMatrix::from_diagonal(&ridge);
+        let mut right = SVector::zeros();
+        for ((row, value), &weight) in rows.iter().zip(&weights) {
+            normal += row.tr_mul(row) * weight;
+            right += row.tr_mul(value) * weight;
+        }
+        let inverse = normal.cholesky()?.inverse();
+        let values = inverse * right;
+        let deviation: Vec<f64> =
+            rows.iter().map(|(row, value)| (row * values - value).norm()).collect();
+        let residual_m = median(&mut deviation.clone())?;
+        let scale = (2.0 * residual_m).max(1e-9);
+        weights =
+            deviation.iter().map(|deviation| 1.0 / (1.0 + (deviation / scale).powi(2))).collect();
+        fit = Some(PositionFit { values, inverse, residual_m });
     }
-    Some((camera, constant))
+    fit
 }

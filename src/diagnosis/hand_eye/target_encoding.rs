@@ -3,10 +3,9 @@
 //! scaled positions.
 
 use super::decoded_target::{DecodedTarget, TargetEncoding, TargetScaleError};
-use super::series::HandEyeSetting;
 use super::start::{angle_difference, solve_closed_form_quick};
 use super::target_scale::estimate_scale_error;
-use super::{CameraMount, HandEyeSolution, HandEyeStreams, MAX_FIT_POSES, solve};
+use super::{CameraMount, HandEyeSolution, HandEyeStreams, solve};
 use ground::geometry::{QuaternionOrderError, misinterpretation_classes};
 
 /// Relative to the logged encoding.
@@ -44,9 +43,7 @@ fn much_better_scale(
     const MAX_EXCESS_RATIO: f64 = 0.5;
     let with = |stretch: TargetScaleError| {
         let encoding = TargetEncoding::Scaled(stretch);
-        let decoded =
-            DecodedTarget { encoding, ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES) };
-        Some((encoding, solve(streams, &decoded, lag_s)?))
+        Some((encoding, solve(streams, encoding, lag_s)?))
     };
     let at = |one: &HandEyeSolution| estimate_scale_error(streams, one.mount, one.offset_s.value);
     // A large scale error biases the time offset, so repeat at the corrected one.
@@ -73,9 +70,7 @@ fn alternative_encoding(
     if misfit > MAX_RESIDUAL_RATIO * logged_misfit {
         return None;
     }
-    let stride = streams.target.t_s.len().div_ceil(MAX_FIT_POSES).max(1);
-    let decoded = DecodedTarget { series: streams.target, encoding, stride };
-    let solution = solve(streams, &decoded, lag_s)?;
+    let solution = solve(streams, encoding, lag_s)?;
     let closes = |a: &HandEyeSolution, b: &HandEyeSolution| {
         let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
         let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
@@ -92,22 +87,12 @@ fn closure_error_with(
     encoding: TargetEncoding,
     lag_s: f64,
 ) -> Option<f64> {
-    let decoded = decoded_with(streams, encoding);
+    let decoded = DecodedTarget::new(streams.target, encoding, MAX_POSES);
     let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
-        Some(
-            solve_closed_form_quick(
-                &HandEyeSetting::new(streams.hand, decoded.poses(), mount)
-                    .pairs_at(lag_s, MAX_POSES),
-            )?
-            .misfit,
-        )
+        let pairs = decoded.setting(streams.hand, mount).pairs_at(lag_s, MAX_POSES);
+        Some(solve_closed_form_quick(&pairs)?.misfit)
     });
     misfits.min_by(f64::total_cmp)
-}
-
-fn decoded_with<'a>(streams: &HandEyeStreams<'a>, encoding: TargetEncoding) -> DecodedTarget<'a> {
-    let stride = streams.target.t_s.len().div_ceil(MAX_POSES).max(1);
-    DecodedTarget { series: streams.target, encoding, stride }
 }
 
 /// If the rotation angles match the hand's, only angle-preserving encodings; otherwise only those that make
@@ -118,11 +103,9 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     /// Encodings that improve the angles.
     const MAX_ENCODINGS: usize = 6;
     let difference_of = |encoding| {
-        let decoded = decoded_with(streams, encoding);
-        angle_difference(
-            &HandEyeSetting::new(streams.hand, decoded.poses(), CameraMount::InHand)
-                .pairs_at(lag_s, MAX_POSES / 2),
-        )
+        let decoded = DecodedTarget::new(streams.target, encoding, MAX_POSES);
+        let setting = decoded.setting(streams.hand, CameraMount::InHand);
+        angle_difference(&setting.pairs_at(lag_s, MAX_POSES / 2))
     };
     let as_logged = difference_of(TargetEncoding::AsLogged);
     if as_logged < MAX_ANGLE_DIFFERENCE_RAD {

@@ -1,29 +1,15 @@
 //! Scale errors of a target's positions: a wrong tag size scales all coordinates, a wrong focal length only
 //! depth.
-//!
-//! For a known camera rotation the model is linear: `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
-use super::decoded_target::{DecodedTarget, TargetScaleError};
-use super::series::{HandEyeSetting, PosePair, mean_direction};
-use super::start::solve_closed_form_quick;
+use super::decoded_target::{DecodedTarget, TargetEncoding, TargetScaleError};
+use super::series::mean_direction;
+use super::start::{
+    DEPTH_COLUMN, MEDIAN_NORMAL_LENGTH, PositionFit, SIZE_COLUMN, fit_positions,
+    solve_closed_form_quick,
+};
 use super::{CameraMount, HandEyeStreams, MAX_FIT_POSES};
-use ground::geometry::{Rotation, Vec3};
-use ground::stats::{Measured, median};
-use nalgebra::{DMatrix, DVector, Matrix3};
-
-/// Columns: camera, constant, common factor, additional depth factor.
-const WIDTH: usize = 8;
-const SIZE_COLUMN: usize = 6;
-const DEPTH_COLUMN: usize = 7;
-
-struct ScaleFit {
-    /// Common, and additional for depth.
-    factors: [f64; 2],
-    errors: [f64; 2],
-    /// Median.
-    residual_m: f64,
-    dof: f64,
-}
+use ground::geometry::Vec3;
+use ground::stats::Measured;
 
 /// Prefers one factor if it fits as well as two. `None` if no factor reduces the closure error
 /// substantially.
@@ -39,16 +25,15 @@ pub(super) fn estimate_scale_error(
     /// In standard errors and as a value, which lens distortion reaches.
     const MIN_STD_ERRORS: f64 = 5.0;
     const MIN_DEVIATION: f64 = 2e-3;
-    let target = DecodedTarget::as_logged(streams.target, MAX_FIT_POSES);
-    let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
-    let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
+    let target = DecodedTarget::new(streams.target, TargetEncoding::AsLogged, MAX_FIT_POSES);
+    let pairs = target.setting(streams.hand, mount).pairs_at(offset_s, MAX_FIT_POSES);
     let rotation = solve_closed_form_quick(&pairs)?.camera.rotation;
     let along = Vec3::from(mean_direction(streams.target)).iamax();
-    let tried = |free: &[usize]| solve_with_factors(&pairs, &rotation, along, free);
+    let tried = |factors: &[usize]| fit_positions(&pairs, &rotation, along, factors);
     let neither = tried(&[])?;
     let (of_size, of_depth, of_both) =
         (tried(&[SIZE_COLUMN])?, tried(&[DEPTH_COLUMN])?, tried(&[SIZE_COLUMN, DEPTH_COLUMN])?);
-    let does = |one: &ScaleFit| {
+    let does = |one: &PositionFit| {
         one.residual_m <= MAX_RESIDUAL_RATIO_ONE_FACTOR * of_both.residual_m.max(f64::MIN_POSITIVE)
     };
     let is_either = does(&of_size) && does(&of_depth);
@@ -61,8 +46,16 @@ pub(super) fn estimate_scale_error(
     if neither.residual_m < MIN_RESIDUAL_RATIO * chosen.residual_m {
         return None;
     }
-    let ([all, more], [all_error, more_error]) = (chosen.factors, chosen.errors);
-    let measured = |value: f64, std_error: f64| Measured { value, std_error, dof: chosen.dof };
+    let sigma_m = chosen.residual_m / MEDIAN_NORMAL_LENGTH;
+    let factor = |column: usize, is_free: bool, fixed: f64| match is_free {
+        true => (chosen.values[column], sigma_m * chosen.inverse[(column, column)].max(0.0).sqrt()),
+        false => (fixed, 0.0),
+    };
+    let (all, all_error) = factor(SIZE_COLUMN, has_size, 1.0);
+    let (more, more_error) = factor(DEPTH_COLUMN, has_depth, 0.0);
+    let width = SIZE_COLUMN + usize::from(has_size) + usize::from(has_depth);
+    let dof = (3 * pairs.len()).saturating_sub(width).max(3) as f64;
+    let measured = |value: f64, std_error: f64| Measured { value, std_error, dof };
     let size = measured(1.0 / all, all_error / (all * all));
     let depth = measured(all / (all + more), more_error * all / (all + more).powi(2));
     let is_precise = |one: &Measured| {
@@ -77,66 +70,4 @@ pub(super) fn estimate_scale_error(
         is_either,
     };
     (found.size.is_some() || found.depth.is_some()).then_some(found)
-}
-
-/// Factors in `free`; Cauchy weights.
-fn solve_with_factors(
-    pairs: &[PosePair],
-    rotation: &Rotation,
-    along: usize,
-    free: &[usize],
-) -> Option<ScaleFit> {
-    const ROUNDS: usize = 4;
-    let columns: Vec<usize> = (0..SIZE_COLUMN).chain(free.iter().copied()).collect();
-    let rows: Vec<(DMatrix<f64>, Vec3)> = pairs
-        .iter()
-        .map(|PosePair { carrier_pose, target }| {
-            let turned = carrier_pose.rotation.to_rotation_matrix();
-            let observed = target.translation.vector;
-            let deep = Vec3::ith(along, observed[along]);
-            let [observed, deep] =
-                [observed, deep].map(|xyz| carrier_pose.rotation * (rotation * xyz));
-            let mut row = DMatrix::zeros(3, WIDTH);
-            row.view_mut((0, 0), (3, 3)).copy_from(turned.matrix());
-            row.view_mut((0, 3), (3, 3)).copy_from(&-Matrix3::identity());
-            row.view_mut((0, SIZE_COLUMN), (3, 1)).copy_from(&observed);
-            row.view_mut((0, DEPTH_COLUMN), (3, 1)).copy_from(&deep);
-            let mut right = -carrier_pose.translation.vector;
-            if !free.contains(&SIZE_COLUMN) {
-                right -= observed;
-            }
-            (row.select_columns(&columns), right)
-        })
-        .collect();
-    let width = columns.len();
-    let mut weights = vec![1.0; rows.len()];
-    let mut found = DVector::zeros(width);
-    let (mut inverse, mut residual_m) = (DMatrix::zeros(width, width), f64::INFINITY);
-    for _ in 0..ROUNDS {
-        let (mut normal, mut right) = (DMatrix::zeros(width, width), DVector::zeros(width));
-        for ((row, value), &weight) in rows.iter().zip(&weights) {
-            normal += row.tr_mul(row) * weight;
-            right += row.tr_mul(value) * weight;
-        }
-        for i in 0..SIZE_COLUMN {
-            normal[(i, i)] += 1e-9 * rows.len() as f64;
-        }
-        inverse = normal.cholesky()?.inverse();
-        found = &inverse * right;
-        let deviation: Vec<f64> =
-            rows.iter().map(|(row, value)| (row * &found - value).norm()).collect();
-        residual_m = median(&mut deviation.clone())?;
-        let scale = (2.0 * residual_m).max(1e-9);
-        weights =
-            deviation.iter().map(|deviation| 1.0 / (1.0 + (deviation / scale).powi(2))).collect();
-    }
-    // The median length of three normal components is 1.5382 standard deviations.
-    let sigma_m = residual_m / 1.5382;
-    let of = |column: usize, fixed: f64| match columns.iter().position(|&own| own == column) {
-        Some(at) => (found[at], sigma_m * inverse[(at, at)].max(0.0).sqrt()),
-        None => (fixed, 0.0),
-    };
-    let ((all, all_error), (more, more_error)) = (of(SIZE_COLUMN, 1.0), of(DEPTH_COLUMN, 0.0));
-    let dof = (3 * rows.len()).saturating_sub(width).max(3) as f64;
-    Some(ScaleFit { factors: [all, more], errors: [all_error, more_error], residual_m, dof })
 }
