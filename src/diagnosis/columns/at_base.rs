@@ -33,42 +33,24 @@ impl NumericTable {
         .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
         .collect();
         let blocks = self.candidate_blocks(constraints, 1);
-        let of = |block: &JointColumns| -> Vec<ColumnCandidate> {
-            let chain = constraints.chains[block.arm];
+        let near = blocks.par_iter().flat_map_iter(|block| {
+            let JointColumns { arm, joints, .. } = block;
             let is_free = |logged: &&PositionColumns| {
-                !logged.position.iter().any(|column| block.joints.contains(column))
+                !logged.position.iter().any(|column| joints.contains(column))
             };
-            let mut best: Vec<ColumnCandidate> = Vec::new();
+            let mut near = Vec::new();
             for &lag_s in lags_s {
-                let fk = self.poses_at(block, chain, &rows, lag_s);
-                for logged in logged.iter().filter(is_free) {
-                    if let Some(share) = logged.residual_share(&fk) {
-                        let (block, position) = (block.clone(), logged.position);
-                        best.push(ColumnCandidate { block, position, share });
-                    }
-                }
+                let fk = self.poses_at(block, constraints.chains[*arm], &rows, lag_s);
+                let shares = logged.iter().filter(is_free);
+                near.extend(shares.filter_map(|logged| {
+                    Some((logged.residual_share(&fk)?, block, logged.position))
+                }));
             }
-            best
-        };
-        let mut near_candidates: Vec<ColumnCandidate> =
-            blocks.par_iter().flat_map_iter(of).collect();
-        near_candidates.sort_by(|a, b| a.share.total_cmp(&b.share));
-        let mut retained: Vec<ColumnCandidate> = Vec::new();
-        let mut count = 0;
-        for near_candidates in near_candidates {
-            let is_its = |other: &&ColumnCandidate| {
-                other.block.joints == near_candidates.block.joints
-                    && other.position == near_candidates.position
-            };
-            let arms: Vec<usize> = retained.iter().filter(is_its).map(|it| it.block.arm).collect();
-            let has_room =
-                if arms.is_empty() { count < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
-            if has_room && !arms.contains(&near_candidates.block.arm) {
-                count += usize::from(arms.is_empty());
-                retained.push(near_candidates);
-            }
-        }
-        retained
+            near
+        });
+        let mut near: Vec<(f64, &JointColumns, [usize; 3])> = near.collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        ColumnCandidate::first_of_each(near.into_iter(), MAX_CANDIDATES, MAX_ARMS)
     }
 
     /// Compares the whole table at all speeds, at this latency.
@@ -90,7 +72,7 @@ impl NumericTable {
             .is_some_and(|share| share < MAX_FITTED_RESIDUAL_SHARE)
     }
 
-    fn poses_at(
+    pub(super) fn poses_at(
         &self,
         block: &JointColumns,
         chain: &Chain,

@@ -1,6 +1,6 @@
 //! Relations between columns: time-shifted copies and rates.
 
-use super::{LIMIT_TOLERANCE, MIN_MOVING_JOINTS, NumericTable, TWO_TURNS_RAD};
+use super::{MIN_MOVING_JOINTS, NumericTable, tolerated_range};
 use ground::robot::Chain;
 use ground::stats::median;
 
@@ -64,7 +64,7 @@ impl NumericTable {
         const MAX_SHIFT_S: f64 = 1.0;
         const MAX_RESIDUAL_SHARE: f64 = 0.2;
         let rows = self.t_s.len();
-        let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
+        let step_s = self.step_s();
         let max_shift = ((MAX_SHIFT_S / step_s) as usize).min(rows / 4) as i64;
         let power =
             |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
@@ -150,22 +150,21 @@ impl NumericTable {
     }
 
     fn rate_correlation(&self, column: usize, of: usize) -> f64 {
-        correlation(&self.paired_with_rates(column, of).collect::<Vec<_>>())
+        correlation(
+            &normalized(self.inner_values(column).collect()),
+            &normalized(self.rates(of).collect()),
+        )
     }
 
     /// Compares in that column's unit per second.
     pub(super) fn is_rate_of(&self, column: usize, of: usize) -> bool {
         /// Share of the column's mean square.
         const MAX_DEVIATION_SHARE: f64 = 0.05;
-        let pairs = self.paired_with_rates(column, of);
+        let pairs = self.inner_values(column).zip(self.rates(of));
         let (differing, square) = pairs.fold((0.0, 0.0), |(differing, square), (value, rate)| {
             (differing + (value - rate).powi(2), square + value * value)
         });
         differing < MAX_DEVIATION_SHARE * square
-    }
-
-    fn paired_with_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
-        self.inner_values(column).zip(self.rates(of))
     }
 
     /// Values of all rows but the first and last.
@@ -207,9 +206,8 @@ impl NumericTable {
     /// Whether the numbers of some columns, in rad or m, are within the limits of the chain's joints.
     pub fn is_within_limits(&self, columns: &[usize], chain: &Chain) -> bool {
         columns.iter().zip(chain.limits()).all(|(&at, limits)| {
-            let low = limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE;
-            let high = limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE;
-            self.columns[at].iter().all(|value| (low..=high).contains(value))
+            let within = tolerated_range(limits);
+            self.columns[at].iter().all(|value| within.contains(value))
         })
     }
 
@@ -218,22 +216,19 @@ impl NumericTable {
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
-        // The scalar product of two normalized series is their correlation.
         let of_all = |series: &dyn Fn(usize) -> Vec<f64>| -> Vec<Vec<f64>> {
             (0..count).map(|column| normalized(series(column))).collect()
         };
         let values = of_all(&|column| self.inner_values(column).collect());
         let rates = of_all(&|column| self.rates(column).collect());
-        let correlation = |column: usize, of: usize| -> f64 {
-            values[column].iter().zip(&rates[of]).map(|(value, rate)| value * rate).sum()
-        };
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
         // Positions and velocities share an array.
         let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
         for behind in MIN_MOVING_JOINTS..widest {
             let is_pair = |at: &usize| {
                 self.homes[*at] == self.homes[at + behind]
-                    && (!moves[*at] || correlation(at + behind, *at) > MIN_RATE_CORRELATION)
+                    && (!moves[*at]
+                        || correlation(&values[at + behind], &rates[*at]) > MIN_RATE_CORRELATION)
             };
             let mut from = 0;
             while from + MIN_MOVING_JOINTS + behind <= count {
@@ -268,13 +263,7 @@ fn normalized(mut series: Vec<f64>) -> Vec<f64> {
     series
 }
 
-fn correlation(pairs: &[(f64, f64)]) -> f64 {
-    let n = pairs.len().max(1) as f64;
-    let (a, b) = pairs.iter().fold((0.0, 0.0), |(a, b), pair| (a + pair.0 / n, b + pair.1 / n));
-    let sums = pairs.iter().fold([0.0; 3], |[aa, bb, ab], pair| {
-        let (x, y) = (pair.0 - a, pair.1 - b);
-        [aa + x * x, bb + y * y, ab + x * y]
-    });
-    let size = (sums[0] * sums[1]).sqrt();
-    if size > 0.0 { sums[2] / size } else { 0.0 }
+/// Of normalized series.
+fn correlation(values: &[f64], others: &[f64]) -> f64 {
+    values.iter().zip(others).map(|(value, other)| value * other).sum()
 }

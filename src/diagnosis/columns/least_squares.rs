@@ -3,18 +3,15 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::MAX_ROWS;
+use crate::samples::sampling::range_of;
 
 /// Start of the window with the most motion.
 pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize {
-    let spreads: Vec<f64> = columns
-        .iter()
-        .map(|values| {
-            let (low, high) = values
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-            high - low
-        })
-        .collect();
+    let spread = |values: &Vec<f64>| {
+        let [low, high] = range_of(values.iter().copied());
+        high - low
+    };
+    let spreads: Vec<f64> = columns.iter().map(spread).collect();
     let step = |pair: &[usize]| -> f64 {
         let of = |(values, spread): (&Vec<f64>, &f64)| {
             let step = (values[pair[1]] - values[pair[0]]).abs() / spread;

@@ -5,6 +5,7 @@
 //! fitted as pose streams, with latency, frame and tool free.
 
 use std::f64::consts::PI;
+use std::ops::RangeInclusive;
 
 mod at_base;
 mod content;
@@ -24,7 +25,8 @@ use serde::{Deserialize, Serialize};
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
 use crate::robot_models::ranking::{ScoredFit, extent, frame_price, tool_fit};
-use ground::robot::Chain;
+use crate::samples::sampling::range_of;
+use ground::robot::{Chain, Limits};
 use ground::stream::sample_noise;
 
 const MAX_ROWS: usize = 6000;
@@ -82,6 +84,16 @@ pub struct NumericTable {
     homes: Vec<usize>,
     /// Per second, over a few rows.
     steepest: Vec<f64>,
+}
+
+/// Positions that a joint may have, rad or m.
+fn tolerated_range(limits: &Limits) -> RangeInclusive<f64> {
+    let low = limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE;
+    low..=limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE
+}
+
+fn span_s(t_s: &[f64]) -> f64 {
+    t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first)
 }
 
 /// Constraints of the search.
@@ -155,6 +167,31 @@ struct ColumnCandidate {
     share: f64,
 }
 
+impl ColumnCandidate {
+    /// The first of `sorted` (share, joints, position): at most `max_candidates` choices of columns, each with at
+    /// most `max_arms` arms.
+    fn first_of_each<'a>(
+        sorted: impl Iterator<Item = (f64, &'a JointColumns, [usize; 3])>,
+        max_candidates: usize,
+        max_arms: usize,
+    ) -> Vec<Self> {
+        let mut retained: Vec<Self> = Vec::new();
+        let mut count = 0;
+        for (share, block, position) in sorted {
+            let is_its =
+                |other: &&Self| other.block.joints == block.joints && other.position == position;
+            let arms: Vec<usize> = retained.iter().filter(is_its).map(|it| it.block.arm).collect();
+            let has_room =
+                if arms.is_empty() { count < max_candidates } else { arms.len() < max_arms };
+            if has_room && !arms.contains(&block.arm) {
+                count += usize::from(arms.is_empty());
+                retained.push(Self { block: block.clone(), position, share });
+            }
+        }
+        retained
+    }
+}
+
 /// Column per joint, base to tip, in chain order and sorted by joint name (common in drivers).
 fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     let names = chain.joint_names();
@@ -184,8 +221,7 @@ pub struct JointColumns {
 impl NumericTable {
     /// Takes rows at increasing times. Long tables are downsampled and cut to the most active window.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
-        let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
-        let rate_hz = t_s.len() as f64 / span_s.max(f64::MIN_POSITIVE);
+        let rate_hz = t_s.len() as f64 / span_s(&t_s).max(f64::MIN_POSITIVE);
         let step = (rate_hz / MAX_RATE_HZ).ceil().max(1.0) as usize;
         let rows: Vec<usize> = (0..t_s.len()).step_by(step).collect();
         let first = rows.len().saturating_sub(MAX_ROWS);
@@ -218,9 +254,7 @@ impl NumericTable {
 
     /// Mean time between rows.
     pub fn step_s(&self) -> f64 {
-        let span_s =
-            self.t_s.last().zip(self.t_s.first()).map_or(0.0, |(last, first)| last - first);
-        span_s / (self.t_s.len().max(2) - 1) as f64
+        span_s(&self.t_s) / (self.t_s.len().max(2) - 1) as f64
     }
 
     /// Source array of a column.
@@ -384,8 +418,8 @@ impl NumericTable {
             let (factor, zero) = unit.factor_and_offset(chain, at);
             let [low, high] = self.range(column).map(|end| factor * end + zero);
             let limits = chain.limits()[at];
-            let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE
-                || high > limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE;
+            let within = tolerated_range(&limits);
+            let is_beyond = low < *within.start() || high > *within.end();
             // Joints do not jump; a rotation vector beyond 180° does.
             let fastest = MAX_SPEED_RATIO * limits.velocity.unwrap_or(DEFAULT_MAX_SPEED_RAD_S);
             let jumps = factor * self.steepest[column] > fastest;
@@ -403,8 +437,7 @@ impl NumericTable {
     }
 
     fn range(&self, column: usize) -> [f64; 2] {
-        let ends = [f64::INFINITY, f64::NEG_INFINITY];
-        self.columns[column].iter().fold(ends, |[low, high], &q| [low.min(q), high.max(q)])
+        range_of(self.columns[column].iter().copied())
     }
 
     /// Columns that may be a position.
@@ -484,23 +517,8 @@ impl NumericTable {
         let mut near: Vec<(f64, usize, [usize; 3])> =
             tried.par_iter().enumerate().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut retained: Vec<ColumnCandidate> = Vec::new();
-        let mut count = 0;
-        for (share, at, position) in near {
-            let block = tried[at].0;
-            let is_its = |near: &&ColumnCandidate| {
-                near.block.joints == block.joints && near.position == position
-            };
-            let arms: Vec<usize> =
-                retained.iter().filter(is_its).map(|near| near.block.arm).collect();
-            let has_room =
-                if arms.is_empty() { count < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
-            if has_room && !arms.contains(&block.arm) {
-                count += usize::from(arms.is_empty());
-                retained.push(ColumnCandidate { block: block.clone(), position, share });
-            }
-        }
-        retained
+        let near = near.into_iter().map(|(share, at, position)| (share, tried[at].0, position));
+        ColumnCandidate::first_of_each(near, MAX_CANDIDATES, MAX_ARMS)
     }
 
     /// Blocks of all arms, or the known joints.
@@ -551,8 +569,7 @@ impl NumericTable {
     ) -> DMatrix<f64> {
         const FK_NUMBERS: usize = 12;
         let mut design = DMatrix::zeros(rows.len(), FK_NUMBERS);
-        for (at, &row) in rows.iter().enumerate() {
-            let pose = chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
+        for (at, pose) in self.poses_at(block, chain, rows, lag_s).iter().enumerate() {
             let turn = pose.rotation.to_rotation_matrix();
             let numbers = pose.translation.vector.iter().chain(turn.matrix().iter());
             numbers.enumerate().for_each(|(column, number)| design[(at, column)] = *number);

@@ -22,20 +22,14 @@ impl NumericTable {
         let rows: Vec<usize> =
             all.iter().copied().step_by(all.len().div_ceil(COMPARED_ROWS).max(1)).collect();
         let block = mapping.block();
-        let fk: Vec<Rotation> = rows
-            .iter()
-            .map(|&row| {
-                let q = self.joints_at(&block, chain, self.t_s[row] - mapping.lag_s);
-                chain.forward(&q).rotation
-            })
-            .collect();
+        let fk = self.poses_at(&block, chain, &rows, mapping.lag_s);
         let pairs: Vec<(usize, usize)> =
             (1..rows.len()).flat_map(|at| [(0, at), (at - 1, at), (at / 2, at)]).collect();
         let rms = |angle: &dyn Fn(usize, usize) -> f64, other: &dyn Fn(usize, usize) -> f64| {
             let differences = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
             (differences.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
         };
-        let expected = |a: usize, b: usize| angle_between(&fk[a], &fk[b]);
+        let expected = |a: usize, b: usize| angle_between(&fk[a].rotation, &fk[b].rotation);
         let rotation_rad = rms(&expected, &|_, _| 0.0);
         if rotation_rad < MIN_ROTATION_RAD {
             return None;

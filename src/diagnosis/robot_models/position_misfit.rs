@@ -2,9 +2,9 @@
 
 use crate::PoseStream;
 use crate::frames::position_fit::FkColumns;
-use crate::samples::sampling::slow_samples;
+use crate::samples::sampling::{as_rotations, slow_samples};
 use ground::geometry::Vec3;
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::JointTrack;
 
 /// Rms distance of `stream` from FK after fitting a tool offset and a reference frame, m. `None` if the
 /// joint states cover too few samples.
@@ -43,7 +43,7 @@ fn misfits_m(
     let expected = FkColumns::from_poses(&fk);
     let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
     let as_logged = expected.misfit(&xyz);
-    let Orientations::Rotations(rotations) = &track.orientation else {
+    let Some(rotations) = as_rotations(&track.orientation) else {
         return Some((as_logged, f64::INFINITY));
     };
     let inverted = rows.iter().zip(&xyz).map(|(&row, p)| -(rotations[row].inverse() * p));

@@ -12,11 +12,11 @@ use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
-use crate::samples::sampling::slow_samples;
+use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::robot::JointKind;
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::JointTrack;
 
 const MIN_SAMPLES: usize = 12;
 /// If all residuals are larger, inverted poses and joints in degrees are tried.
@@ -58,29 +58,24 @@ pub enum FitAssumption {
 impl FitAssumption {
     /// Whether it is no fault: none, an active TCP, or the other usual base.
     pub fn is_faultless(self) -> bool {
-        matches!(
-            self,
-            FitAssumption::Nothing | FitAssumption::Tool | FitAssumption::HalfTurn { .. }
-        )
+        matches!(self, Self::Nothing | Self::Tool | Self::HalfTurn { .. })
     }
 
     /// Whether a tool is fitted.
     pub fn has_tool(self) -> bool {
         match self {
-            FitAssumption::Nothing => false,
-            FitAssumption::Tool => true,
-            FitAssumption::HalfTurn { tool }
-            | FitAssumption::Zero { tool, .. }
-            | FitAssumption::Reference { tool } => tool,
+            Self::Nothing => false,
+            Self::Tool => true,
+            Self::HalfTurn { tool } | Self::Zero { tool, .. } | Self::Reference { tool } => tool,
         }
     }
 
     /// Parameter count, without latency and tool.
     fn parameters(self) -> usize {
         match self {
-            FitAssumption::Nothing | FitAssumption::Tool => 0,
-            FitAssumption::HalfTurn { .. } | FitAssumption::Zero { .. } => 1,
-            FitAssumption::Reference { .. } => 6,
+            Self::Nothing | Self::Tool => 0,
+            Self::HalfTurn { .. } | Self::Zero { .. } => 1,
+            Self::Reference { .. } => 6,
         }
     }
 }
@@ -259,6 +254,7 @@ fn half_turn() -> Pose {
     Pose::rotation(Vec3::z() * std::f64::consts::PI)
 }
 
+#[derive(Clone)]
 struct StreamWithFk<'a> {
     joints: &'a JointTrack,
     stream: PoseStream<'a>,
@@ -290,13 +286,10 @@ impl<'a> StreamWithFk<'a> {
         let PoseStream { track, chain, columns, .. } = *stream;
         let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
         let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
-        let inverse_xyz = match &track.orientation {
-            Orientations::Rotations(all) => {
-                let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
-                Some(inverse.collect())
-            }
-            Orientations::Numbers(_) | Orientations::Unset(_) => None,
-        };
+        let inverse_xyz = as_rotations(&track.orientation).map(|all| {
+            let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
+            inverse.collect()
+        });
         let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
         (rows.len() >= MIN_SAMPLES).then_some(Self {
             joints,
@@ -345,38 +338,19 @@ impl<'a> StreamWithFk<'a> {
             joints.map(move |joint| FitAssumption::Zero { joint, tool })
         });
         let references = [false, true].map(|tool| FitAssumption::Reference { tool });
-        references
-            .into_iter()
-            .chain(zeros)
-            .flat_map(|assumption| self.fits_under(assumption))
-            .collect()
+        references.into_iter().chain(zeros).flat_map(|it| self.fits_under(it)).collect()
     }
 
     /// Inverted poses, joints in degrees.
     fn misinterpreted_fits(&self) -> Vec<HypothesisFit> {
+        const ASSUMPTIONS: [FitAssumption; 3] =
+            [FitAssumption::Nothing, FitAssumption::Tool, FitAssumption::Reference { tool: true }];
         let of = |stream_with_fk: StreamWithFk<'_>| {
-            let assumption = [
-                FitAssumption::Nothing,
-                FitAssumption::Tool,
-                FitAssumption::Reference { tool: true },
-            ];
-            let fits =
-                assumption.into_iter().flat_map(|assumption| stream_with_fk.fits_under(assumption));
+            let fits = ASSUMPTIONS.into_iter().flat_map(|it| stream_with_fk.fits_under(it));
             fits.map(|fit| HypothesisFit { is_misinterpreted: true, ..fit }).collect::<Vec<_>>()
         };
-        let unchanged = || StreamWithFk {
-            joints: self.joints,
-            stream: self.stream,
-            lag_s: self.lag_s,
-            max_lag_s: self.max_lag_s,
-            t_s: self.t_s.clone(),
-            xyz: self.xyz.clone(),
-            inverse_xyz: None,
-            fk: self.fk.clone(),
-            in_degrees: self.in_degrees,
-        };
-        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..unchanged() }));
-        let mut in_radians = StreamWithFk { in_degrees: true, ..unchanged() };
+        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..self.clone() }));
+        let mut in_radians = StreamWithFk { in_degrees: true, ..self.clone() };
         in_radians.fk = in_radians.poses();
         inverted.into_iter().flatten().chain(of(in_radians)).collect()
     }

@@ -27,6 +27,12 @@ pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usi
     (0..count).map(move |at| at * len / count..at * len / count + rows)
 }
 
+/// Lowest and highest value; `[∞, −∞]` without values.
+pub(crate) fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
+    let none = [f64::INFINITY, f64::NEG_INFINITY];
+    values.into_iter().fold(none, |[low, high], value| [low.min(value), high.max(value)])
+}
+
 /// Drops rows whose compensated stamps precede an earlier one.
 pub(crate) fn monotonic_rows(
     compensated_s: impl Iterator<Item = (usize, f64)>,
