@@ -163,13 +163,10 @@ impl CalibrationSystem<'_> {
         let fitted = |normal: &Normal| normal.step(&none, &own);
         let all_free = fitted(&self.sample_normal(linearized));
         let folds = self.cross_validated(linearized, state, fitted);
-        let of = |((source, stream), held_out): (
-            (&StreamSource, &LinearizedStream),
-            CalibrationResidual,
-        )| {
-            (rms_residual(&[stream.after(&(&source.columns * &all_free))]), held_out)
+        let residual = |(source, stream): (&StreamSource, &LinearizedStream)| {
+            rms_residual(&[stream.after(&(&source.columns * &all_free))])
         };
-        self.sources.iter().zip(linearized).zip(folds).map(of).collect()
+        self.sources.iter().zip(linearized).map(residual).zip(folds).collect()
     }
 
     /// Fits all parameters to the other folds.

@@ -13,7 +13,7 @@ mod system;
 #[cfg(test)]
 mod tests;
 mod undetermined;
-mod workspace;
+pub(crate) mod workspace;
 
 pub use self::fixed_point::FixedPoint;
 use crate::Measured;

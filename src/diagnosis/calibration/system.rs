@@ -5,6 +5,7 @@ use super::{CalibrationStream, FrameFreedom, PointDistance};
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist,
 };
+use crate::samples::sampling::range_of;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -73,9 +74,7 @@ impl<'a> StreamSource<'a> {
         let span = |&column: &usize| {
             let rows = (0..joints.len()).filter(|&row| (*first..=*last).contains(&joints.t_s[row]));
             let range = rows.map(|row| joints.row(row)[column]);
-            let (low, high) = range.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| {
-                (low.min(q), high.max(q))
-            });
+            let [low, high] = range_of(range);
             (high - low).max(0.0)
         };
         self.stream.columns.iter().map(span).collect()
@@ -114,18 +113,16 @@ pub(super) struct CalibrationSystem<'a> {
 }
 
 impl CalibrationSystem<'_> {
-    /// Robot with link deviations, without zeros.
-    fn links_at(&self, state: &CalibrationState) -> Robot {
+    /// Robot with link deviations and these zeros.
+    fn robot_with(&self, state: &CalibrationState, zeros: &[f64]) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
-        self.robot.with_deviations(self.path, &deviations, &[])
+        self.robot.with_deviations(self.path, &deviations, zeros)
     }
 
     /// Robot with link deviations and zeros.
     pub fn robot_at(&self, state: &CalibrationState) -> Robot {
-        let deviations = self.parameters.deviations(state.values.as_slice());
-        let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
-        self.robot.with_deviations(self.path, &deviations, &self.zeros(state))
+        self.robot_with(state, &self.zeros(state))
     }
 
     fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
@@ -139,7 +136,7 @@ impl CalibrationSystem<'_> {
     /// Chain with the link deviations of `state`.
     pub fn chain(&self, s: usize, state: &CalibrationState) -> Option<Chain> {
         let stream = self.sources[s].stream;
-        self.links_at(state).chain(stream.base, stream.tip).ok()
+        self.robot_with(state, &[]).chain(stream.base, stream.tip).ok()
     }
 
     /// Weights are from the residuals there. A fit absorbed `fitted_share` of their variance; `None` before a fit.
@@ -148,7 +145,7 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
         fitted_share: Option<f64>,
     ) -> Option<Vec<LinearizedStream>> {
-        let robot = self.links_at(state);
+        let robot = self.robot_with(state, &[]);
         let zeros = self.zeros(state);
         let of_stream = |(s, source): (usize, &StreamSource)| {
             let stream = source.stream;
@@ -289,10 +286,19 @@ impl CalibrationSystem<'_> {
     fn deviation_from_prior(&self, state: &CalibrationState) -> DVector<f64> {
         let mut values = state.values.clone();
         // Flat prior, centred on the current value.
+        values.as_mut_slice()[self.parameters.links.len()..].fill(0.0);
         values
-            .rows_mut(self.parameters.links.len(), values.len() - self.parameters.links.len())
-            .fill(0.0);
-        values
+    }
+
+    /// Precision of the prior and of the posterior.
+    fn posterior(
+        &self,
+        normal: &Normal,
+        link_m: f64,
+    ) -> (DVector<f64>, Option<Cholesky<f64, Dyn>>) {
+        let prior = DVector::from_vec(self.parameters.prior(link_m));
+        let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
+        (prior, precision.cholesky())
     }
 
     /// Step to the maximum of the posterior, and the precision there.
@@ -302,9 +308,8 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
         link_m: f64,
     ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
-        let prior = DVector::from_vec(self.parameters.prior(link_m));
-        let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
-        let cholesky = precision.cholesky()?;
+        let (prior, cholesky) = self.posterior(normal, link_m);
+        let cholesky = cholesky?;
         let right = &normal.right - prior.component_mul(&self.deviation_from_prior(state));
         Some((cholesky.solve(&right), cholesky))
     }
@@ -313,9 +318,8 @@ impl CalibrationSystem<'_> {
         let (min_m, max_m, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
-            let prior = DVector::from_vec(self.parameters.prior(link_m));
-            let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
-            let Some(cholesky) = precision.cholesky() else { return f64::NEG_INFINITY };
+            let (prior, cholesky) = self.posterior(normal, link_m);
+            let Some(cholesky) = cholesky else { return f64::NEG_INFINITY };
             let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
             total.dot(&cholesky.solve(&total)) - log_det
                 + prior.iter().map(|one| one.ln()).sum::<f64>()

@@ -4,6 +4,7 @@ use super::FkUncertainty;
 use super::system::{CalibrationState, CalibrationSystem};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
+use crate::solver::linear::Linear;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind, Limits};
 use ground::stream::JointTrack;
@@ -11,6 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 
 const CONFIGURATIONS: usize = 300;
+const RANDOM_SEED: u64 = 24;
 
 /// Sensitivity to the shared parameters within the joint limits, after projecting out free constant frames.
 pub(super) struct TipSensitivity {
@@ -25,31 +27,8 @@ impl TipSensitivity {
         let Some(chain) = system.chain(0, state) else {
             return Self { effects: DMatrix::zeros(0, shared) };
         };
-        let joints = random_configurations(&chain);
-        let columns: Vec<usize> = (0..chain.dof()).collect();
-        let observations = PoseObservations {
-            joints: &joints,
-            chain: &chain,
-            columns: &columns,
-            gains: &[],
-            reference_known: true,
-            rest_speeds: &vec![0.0; chain.dof()],
-            t_s: joints.t_s.clone(),
-            xyz: vec![Vec3::zeros(); joints.len()],
-            rotation: vec![Rotation::identity(); joints.len()],
-            excluded: ExcludedComponents::default(),
-            tool_part: ToolPart::Whole,
-            middle_s: 0.0,
-            moving_frame: None,
-        };
-        let plain = StreamState::at_latency(0.0);
-        let linear = link_frames(
-            &observations,
-            &plain,
-            &vec![0.0; chain.dof()],
-            0..joints.len(),
-            FreeAlongside::Zeros,
-        );
+        let joints = random_configurations(&chain, CONFIGURATIONS, RANDOM_SEED);
+        let linear = tip_derivatives(&chain, &joints);
         let rows = 6 * linear.len();
         let design = DMatrix::from_fn(rows, linear.width, |row, column| {
             linear.row(row / 6, row % 6)[column]
@@ -91,30 +70,45 @@ impl TipSensitivity {
     }
 }
 
+/// Derivatives of the tip's pose by the frame of each link, latency and zeros, at the rows of `motion`.
+pub(crate) fn tip_derivatives(chain: &Chain, motion: &JointTrack) -> Linear {
+    let columns: Vec<usize> = (0..chain.dof()).collect();
+    let still = vec![0.0; chain.dof()];
+    let observations = PoseObservations {
+        joints: motion,
+        chain,
+        columns: &columns,
+        gains: &[],
+        reference_known: true,
+        rest_speeds: &still,
+        t_s: motion.t_s.clone(),
+        xyz: vec![Vec3::zeros(); motion.len()],
+        rotation: vec![Rotation::identity(); motion.len()],
+        excluded: ExcludedComponents::default(),
+        tool_part: ToolPart::Whole,
+        middle_s: 0.0,
+        moving_frame: None,
+    };
+    let state = StreamState::at_latency(0.0);
+    link_frames(&observations, &state, &still, 0..motion.len(), FreeAlongside::Zeros)
+}
+
 /// Configurations at rest, over the joint ranges.
-fn random_configurations(chain: &Chain) -> JointTrack {
-    let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
+pub(crate) fn random_configurations(chain: &Chain, count: usize, seed: u64) -> JointTrack {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
     let range = |(limits, kind): (&Limits, &JointKind)| {
         let usual = if *kind == JointKind::Prismatic { 0.5 } else { std::f64::consts::PI };
         let low = limits.lower.unwrap_or(-usual).max(-usual);
         let high = limits.upper.unwrap_or(usual).min(usual);
-        if low < high {
-            (low, high)
-        } else {
-            (limits.lower.unwrap_or(0.0), limits.upper.unwrap_or(0.0))
+        match low < high {
+            true => (low, high),
+            false => (limits.lower.unwrap_or(0.0), limits.upper.unwrap_or(0.0)),
         }
     };
     let ranges: Vec<(f64, f64)> =
         chain.limits().iter().zip(chain.joint_kinds()).map(range).collect();
-    let mut q = Vec::with_capacity(CONFIGURATIONS * ranges.len());
-    for _ in 0..CONFIGURATIONS {
-        q.extend(ranges.iter().map(|(low, high)| low + (high - low) * rng.random::<f64>()));
-    }
-    JointTrack {
-        t_s: (0..CONFIGURATIONS).map(|at| at as f64).collect(),
-        dof: ranges.len(),
-        qd: vec![0.0; q.len()],
-        q,
-        noise: Vec::new(),
-    }
+    let rows = (0..count).flat_map(|_| &ranges);
+    let q: Vec<f64> = rows.map(|(low, high)| low + (high - low) * rng.random::<f64>()).collect();
+    let t_s = (0..count).map(|at| at as f64).collect();
+    JointTrack { t_s, dof: ranges.len(), qd: vec![0.0; q.len()], q, noise: Vec::new() }
 }

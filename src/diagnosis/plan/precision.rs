@@ -2,26 +2,23 @@
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
+use crate::calibration::workspace::{random_configurations, tip_derivatives};
 use crate::hand_eye;
 use crate::imu;
-use crate::model::measurement::{PoseObservations, StreamState, ToolPart};
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, ZERO_PRIOR};
 use crate::selection::link_deviations;
-use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::Linear;
 use crate::solver::robust::pseudo_inverse;
-use ground::geometry::{Rotation, Vec3};
+use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
 use nalgebra::DMatrix;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
-use std::f64::consts::PI;
 
 /// For a 95 % interval.
 const HALF_WIDTH_SIGMAS: f64 = 1.959_963_985;
 /// Over the workspace, to evaluate a calibrated model.
 const CONFIGURATIONS: usize = 150;
+const RANDOM_SEED: u64 = 1;
 /// Share of the prior; an observable parameter is below it.
 const MAX_STD_DEVIATION_SHARE: f64 = 0.5;
 /// On a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for unobservable
@@ -95,6 +92,25 @@ impl PrecisionQuery {
         covariance.select_rows(&self.requested).select_columns(&self.requested)
     }
 
+    /// Half widths of the requested parameters; `quantity` names each.
+    fn precisions(
+        &self,
+        information: &DMatrix<f64>,
+        quantity: impl Fn(usize) -> PlannedQuantity,
+    ) -> Vec<ExpectedPrecision> {
+        let covariance = self.covariance(information);
+        let half_width = |at: usize| {
+            let error = covariance[(at, at)].max(0.0).sqrt();
+            match error < MAX_STD_DEVIATION_SHARE * self.prior[self.requested[at]] {
+                true => HALF_WIDTH_SIGMAS * error,
+                false => f64::INFINITY,
+            }
+        };
+        (0..self.requested.len())
+            .map(|at| ExpectedPrecision { quantity: quantity(at), half_width: half_width(at) })
+            .collect()
+    }
+
     fn score(&self, information: &DMatrix<f64>) -> f64 {
         let known = Self {
             prior: self.prior.iter().map(|before| before.min(WEAK_PRIOR)).collect(),
@@ -131,7 +147,7 @@ impl<'a> LinearizedMotion<'a> {
                 let (camera, ahead) = (sensing.hand_from_camera, Vec3::z() * sensing.target_m);
                 hand_eye::design(&motion.t_s, hands.collect(), camera, ahead)
             }
-            _ => linearised(chain, motion),
+            _ => tip_derivatives(chain, motion),
         };
         let seconds = motion.t_s.last()? - motion.t_s.first()?;
         let t_s = &motion.t_s;
@@ -254,14 +270,10 @@ impl<'a> LinearizedMotion<'a> {
         )
     }
 
-    fn camera_query() -> PrecisionQuery {
-        Self::flat_query((0..hand_eye::WIDTH).collect(), 6)
-    }
-
-    /// Log determinant of the covariance; lower is better.
-    pub fn score(&self) -> f64 {
+    /// Query of the purpose, and the number of samples that its estimator uses.
+    fn query(&self) -> (PrecisionQuery, usize) {
         let all: Vec<usize> = (0..self.joints).collect();
-        let (question, most) = match self.purpose {
+        match self.purpose {
             Purpose::Zeros if self.sensing.link_m > 0.0 => (
                 self.zeros_with_links_query(&all, self.link()),
                 link_deviations::MAX_DEVIATION_SAMPLES,
@@ -269,77 +281,56 @@ impl<'a> LinearizedMotion<'a> {
             Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
             Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
             Purpose::Latency => (self.latency_query(), FIT_SAMPLES),
-            Purpose::HandEye => (Self::camera_query(), hand_eye::MAX_FIT_POSES),
+            Purpose::HandEye => {
+                (Self::flat_query((0..hand_eye::WIDTH).collect(), 6), hand_eye::MAX_FIT_POSES)
+            }
             Purpose::Yaw => (self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES),
-        };
-        question.score(&self.information(most))
+        }
+    }
+
+    /// Log determinant of the covariance; lower is better.
+    pub fn score(&self) -> f64 {
+        let (query, most) = self.query();
+        query.score(&self.information(most))
     }
 
     /// Precision of the requested quantities.
     pub fn expected_precisions(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
-        let each = |question: &PrecisionQuery,
-                    most: usize,
-                    of: &dyn Fn(usize) -> PlannedQuantity| {
-            let covariance = question.covariance(&self.information(most));
-            let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
-                error
-                    if error < MAX_STD_DEVIATION_SHARE * question.prior[question.requested[at]] =>
-                {
-                    HALF_WIDTH_SIGMAS * error
-                }
-                _ => f64::INFINITY,
-            };
-            (0..question.requested.len())
-                .map(|at| ExpectedPrecision { quantity: of(at), half_width: half(at) })
-                .collect()
-        };
-        match self.purpose {
-            Purpose::Zeros if self.sensing.link_m > 0.0 => {
-                let joints: Vec<usize> = (0..self.joints).collect();
-                let of_joints = |joints: &[usize], quantity: fn(usize) -> PlannedQuantity| {
-                    let question = self.zeros_with_links_query(joints, self.link());
-                    let mut found: Vec<ExpectedPrecision> =
-                        each(&question, link_deviations::MAX_DEVIATION_SAMPLES, &|at| {
-                            quantity(joints[at])
-                        });
-                    for (precision, &joint) in found.iter_mut().zip(joints) {
-                        // Zeros scatter as links do.
-                        let is_prismatic = chain.joint_kinds()[joint] == JointKind::Prismatic;
-                        let scatter = if is_prismatic { self.link().0 } else { self.link().1 };
-                        precision.half_width =
-                            precision.half_width.hypot(HALF_WIDTH_SIGMAS * scatter);
-                    }
-                    found
-                };
-                let mut found = of_joints(&joints, PlannedQuantity::Zero);
-                for joint in joints {
-                    found.extend(of_joints(&[joint], PlannedQuantity::ZeroAlone));
-                }
-                found
-            }
-            Purpose::Zeros => each(&self.zeros(), FIT_SAMPLES, &PlannedQuantity::Zero),
-            Purpose::Calibration => self.calibrated(chain),
-            Purpose::Latency => {
-                each(&self.latency_query(), FIT_SAMPLES, &|_| PlannedQuantity::Latency)
-            }
-            Purpose::HandEye => {
-                each(&Self::camera_query(), hand_eye::MAX_FIT_POSES, &|at| match at {
-                    0..3 => PlannedQuantity::CameraShift(at),
-                    _ => PlannedQuantity::CameraTurn(at - 3),
-                })
-            }
-            Purpose::Yaw => each(&self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES, &|at| match at {
-                0 => PlannedQuantity::YawDrift,
-                _ => PlannedQuantity::Tilt(at - 1),
-            }),
+        if self.purpose == Purpose::Calibration {
+            return self.calibrated(chain);
         }
+        let (query, most) = self.query();
+        let information = self.information(most);
+        let mut found = query.precisions(&information, |at| match self.purpose {
+            Purpose::Zeros | Purpose::Calibration => PlannedQuantity::Zero(at),
+            Purpose::Latency => PlannedQuantity::Latency,
+            Purpose::HandEye if at < 3 => PlannedQuantity::CameraShift(at),
+            Purpose::HandEye => PlannedQuantity::CameraTurn(at - 3),
+            Purpose::Yaw if at == 0 => PlannedQuantity::YawDrift,
+            Purpose::Yaw => PlannedQuantity::Tilt(at - 1),
+        });
+        if self.purpose == Purpose::Zeros && self.sensing.link_m > 0.0 {
+            for joint in 0..self.joints {
+                let query = self.zeros_with_links_query(&[joint], self.link());
+                found.extend(query.precisions(&information, |_| PlannedQuantity::ZeroAlone(joint)));
+            }
+            for (at, precision) in found.iter_mut().enumerate() {
+                // Zeros scatter as links do.
+                let scatter = match chain.joint_kinds()[at % self.joints] {
+                    JointKind::Prismatic => self.link().0,
+                    _ => self.link().1,
+                };
+                precision.half_width = precision.half_width.hypot(HALF_WIDTH_SIGMAS * scatter);
+            }
+        }
+        found
     }
 
     /// Tip error along the motion and over the workspace.
     fn calibrated(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
-        let everywhere = random_configurations(chain);
-        let far = linearised(chain, &everywhere);
+        let everywhere = random_configurations(chain, CONFIGURATIONS, RANDOM_SEED);
+        let far = tip_derivatives(chain, &everywhere);
         let rms = |linear: &Linear, kind: usize| {
             let mut sum = 0.0;
             for sample in 0..linear.len() {
@@ -351,18 +342,18 @@ impl<'a> LinearizedMotion<'a> {
             (sum / linear.len().max(1) as f64).max(0.0).sqrt()
         };
         let of = |everywhere: bool, linear: &Linear| {
-            [
-                ExpectedPrecision {
-                    quantity: PlannedQuantity::FkPosition { everywhere },
-                    half_width: rms(linear, 0),
-                },
-                ExpectedPrecision {
-                    quantity: PlannedQuantity::FkRotation { everywhere },
-                    half_width: rms(linear, 1),
-                },
-            ]
+            let quantities = [
+                PlannedQuantity::FkPosition { everywhere },
+                PlannedQuantity::FkRotation { everywhere },
+            ];
+            let each = quantities.into_iter().enumerate();
+            each.map(|(kind, quantity)| ExpectedPrecision {
+                quantity,
+                half_width: rms(linear, kind),
+            })
+            .collect::<Vec<_>>()
         };
-        of(false, &self.linear).into_iter().chain(of(true, &far)).collect()
+        [of(false, &self.linear), of(true, &far)].concat()
     }
 }
 
@@ -385,47 +376,4 @@ pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) ->
     let both = one.iter().zip(other).map(|(one, other)| (one.half_width / other.half_width).ln());
     let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
-}
-
-fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
-    let columns: Vec<usize> = (0..chain.dof()).collect();
-    let still = vec![0.0; chain.dof()];
-    let observations = PoseObservations {
-        joints: motion,
-        chain,
-        columns: &columns,
-        gains: &[],
-        reference_known: true,
-        rest_speeds: &still,
-        xyz: vec![Vec3::zeros(); motion.len()],
-        rotation: vec![Rotation::identity(); motion.len()],
-        excluded: Default::default(),
-        tool_part: ToolPart::Whole,
-        middle_s: 0.0,
-        moving_frame: None,
-        t_s: motion.t_s.clone(),
-    };
-    link_frames(
-        &observations,
-        &StreamState::at_latency(0.0),
-        &still,
-        0..motion.len(),
-        FreeAlongside::Zeros,
-    )
-}
-
-fn random_configurations(chain: &Chain) -> JointTrack {
-    let mut random = Pcg64::seed_from_u64(1);
-    let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };
-    for row in 0..CONFIGURATIONS {
-        track.t_s.push(row as f64 * 0.1);
-        for (kind, limits) in chain.joint_kinds().iter().zip(chain.limits()) {
-            let most = if *kind == JointKind::Prismatic { 0.5 } else { PI };
-            let low = limits.lower.unwrap_or(-most).max(-most);
-            let high = limits.upper.unwrap_or(most).min(most).max(low);
-            track.q.push(low + (high - low) * random.random_range(0.0..1.0));
-            track.qd.push(0.0);
-        }
-    }
-    track
 }
