@@ -1,6 +1,7 @@
 //! Delay of the arm behind its commands.
 
 use crate::latency::correlation::median_period_s;
+use crate::samples::sampling::range_of;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};
 use ground::geometry::{Vec3, rotvec_from_rotation};
@@ -58,15 +59,11 @@ pub fn estimate_joint_delays(
             commanded.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
         let measured: Vec<f64> =
             joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
-        let command = (TimeSeries::new(t_s.clone(), vec![commanded.clone()]), t_s.as_slice());
-        let response = match is_streamed(&t_s) {
-            false => Err(DelayFailure::Goals),
-            true if advances_in_steps(&t_s, &commanded, &joints.t_s, &measured) => {
-                Err(DelayFailure::Steps)
-            }
-            true => estimate_delay(command, (&joints.t_s, vec![measured]), &[commanded], max_lag_s),
-        };
-        CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
+        let period_s = median_period_s(&t_s);
+        let paths = [&commanded, &measured].map(Clone::clone);
+        let commanded = TimeSeries::new(t_s, vec![commanded]);
+        let response = estimate_delay(&commanded, (&joints.t_s, vec![measured]), &paths, max_lag_s);
+        CommandDelay { joint: Some(column), period_s, response }
     };
     order.iter().enumerate().map(of).collect()
 }
@@ -78,8 +75,7 @@ pub fn estimate_pose_delay(
     max_lag_s: f64,
 ) -> CommandDelay {
     let period_s = median_period_s(&commanded.t_s);
-    let columns = [commanded, measured].map(columns);
-    let [commanded_columns, measured_columns] = columns;
+    let [commanded_columns, measured_columns] = [commanded, measured].map(columns);
     let path = |columns: &[Vec<f64>]| -> Vec<f64> {
         let mut sum = 0.0;
         let rows = columns.first().map_or(0, Vec::len);
@@ -90,30 +86,10 @@ pub fn estimate_pose_delay(
         });
         std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
     };
-    let response = match is_streamed(&commanded.t_s) {
-        false => Err(DelayFailure::Goals),
-        true if advances_in_steps(
-            &commanded.t_s,
-            &path(&commanded_columns),
-            &measured.t_s,
-            &path(&measured_columns),
-        ) =>
-        {
-            Err(DelayFailure::Steps)
-        }
-        true => {
-            let command = (
-                TimeSeries::new(commanded.t_s.clone(), commanded_columns.clone()),
-                commanded.t_s.as_slice(),
-            );
-            estimate_delay(
-                command,
-                (&measured.t_s, measured_columns),
-                &commanded_columns,
-                max_lag_s,
-            )
-        }
-    };
+    let paths = [&commanded_columns, &measured_columns].map(|columns| path(columns));
+    let commanded = TimeSeries::new(commanded.t_s.clone(), commanded_columns);
+    let measured = (measured.t_s.as_slice(), measured_columns);
+    let response = estimate_delay(&commanded, measured, &paths, max_lag_s);
     CommandDelay { joint: None, period_s, response }
 }
 
@@ -167,38 +143,40 @@ fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
     columns.to_vec()
 }
 
+/// `paths` are the distances that command and measurement have moved.
 fn estimate_delay(
-    (command, commanded_t_s): (TimeSeries, &[f64]),
+    commanded: &TimeSeries,
     (measured_t_s, measured): (&[f64], Vec<Vec<f64>>),
-    commanded: &[Vec<f64>],
+    paths: &[Vec<f64>; 2],
     max_lag_s: f64,
 ) -> Result<Response, DelayFailure> {
-    let (Some(first), Some(last)) = (commanded_t_s.first(), commanded_t_s.last()) else {
+    if !is_streamed(&commanded.t_s) {
+        return Err(DelayFailure::Goals);
+    }
+    if advances_in_steps(&commanded.t_s, &paths[0], measured_t_s, &paths[1]) {
+        return Err(DelayFailure::Steps);
+    }
+    let (Some(first), Some(last)) = (commanded.t_s.first(), commanded.t_s.last()) else {
         return Err(NotObservable::NoOverlap.into());
     };
-    let path_length = |columns: &[Vec<f64>]| -> f64 {
-        let of = |column: &Vec<f64>| {
-            let ends = column
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
-            ends.1 - ends.0
-        };
-        columns.iter().map(of).fold(0.0, f64::max)
+    let motion = |columns: &[Vec<f64>]| -> f64 {
+        let ranges = columns.iter().map(|column| range_of(column.iter().copied()));
+        ranges.map(|[low, high]| high - low).fold(0.0, f64::max)
     };
-    if path_length(commanded) < MIN_MOTION {
+    if motion(&commanded.columns) < MIN_MOTION {
         return Err(NotObservable::AtRest.into());
     }
-    let window_s = (COMMAND_PERIODS * median_period_s(commanded_t_s))
+    let window_s = (COMMAND_PERIODS * median_period_s(&commanded.t_s))
         .max(STATE_PERIODS * median_period_s(measured_t_s))
         .max(MIN_WINDOW_S);
     let changes = ResponseChanges::from_windows(measured_t_s, &measured, (*first, *last), window_s);
     if changes.windows.is_empty() {
         return Err(NotObservable::NoOverlap.into());
     }
-    if path_length(&measured) < MIN_MOTION {
+    if motion(&measured) < MIN_MOTION {
         return Err(NotObservable::DoesNotFollow(0.0).into());
     }
-    Ok(changes.estimate_response(&command, max_lag_s.min(MAX_DELAY_S))?)
+    Ok(changes.estimate_response(commanded, max_lag_s.min(MAX_DELAY_S))?)
 }
 
 pub(super) fn is_streamed(t_s: &[f64]) -> bool {

@@ -88,21 +88,16 @@ pub fn infer_joint_order(
         let (mut sum, mut count) = (0.0, 0.0);
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
             if joints.at(t_s + later_s, &mut cursor, &mut at, &mut speed) {
-                sum += order
-                    .iter()
-                    .zip(row)
-                    .map(|(&at_column, q)| (at[at_column] - q).abs())
-                    .sum::<f64>();
+                let distances = order.iter().zip(row).map(|(&column, q)| (at[column] - q).abs());
+                sum += distances.sum::<f64>();
                 count += order.len() as f64;
             }
         }
         if count > 0.0 { sum / count } else { f64::INFINITY }
     };
     let distance = |order: &[usize]| {
-        TRIAL_DELAYS_S
-            .iter()
-            .map(|&later_s| distance_at(order, later_s))
-            .fold(f64::INFINITY, f64::min)
+        let distances = TRIAL_DELAYS_S.iter().map(|&later_s| distance_at(order, later_s));
+        distances.fold(f64::INFINITY, f64::min)
     };
     // Returns the first of equal candidates.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();

@@ -14,8 +14,8 @@ const MAX_COLUMNS: usize = 6;
 /// One column or groups of three. Times are in s from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TimeSeries {
-    t_s: Vec<f64>,
-    columns: Vec<Vec<f64>>,
+    pub t_s: Vec<f64>,
+    pub columns: Vec<Vec<f64>>,
     /// Time derivatives.
     slopes: Vec<Vec<f64>>,
     /// Longest interpolated interval, s.
@@ -89,13 +89,12 @@ impl TimeSeries {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
-        let candidates = (*cursor..*cursor + 3).find(|&at| is_before(at));
-        let before = match candidates {
+        let before = match (*cursor..*cursor + 3).find(|&at| is_before(at)) {
             Some(before) => before,
-            None => times
-                .partition_point(|&t| t <= t_s)
-                .checked_sub(1)?
-                .min(times.len().checked_sub(2)?),
+            None => {
+                let next = times.partition_point(|&t| t <= t_s);
+                next.checked_sub(1)?.min(times.len().checked_sub(2)?)
+            }
         };
         *cursor = before;
         let (from_s, to_s) = (times[before], times[before + 1]);
@@ -163,6 +162,7 @@ pub(crate) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     (0..values.len()).map(at).collect()
 }
 
+#[derive(Default)]
 struct DelayFit {
     /// Per group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,
@@ -246,9 +246,8 @@ impl ResponseChanges {
 
     fn fit(&self, references: &[Option<[f64; MAX_COLUMNS]>]) -> DelayFit {
         let size = self.group();
-        let mut fit =
-            DelayFit { gains: Vec::new(), residual_squares: 0.0, total_squares: 0.0, used: 0 };
-        fit.used = references.iter().flatten().count();
+        let used = references.iter().flatten().count();
+        let mut fit = DelayFit { used, ..DelayFit::default() };
         for first in (0..self.width).step_by(size) {
             let mut normal = DMatrix::<f64>::zeros(size, size);
             let mut right = DMatrix::<f64>::zeros(size, size);
@@ -359,14 +358,10 @@ impl ResponseChanges {
             Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
         };
         // Onto the complement of the gains.
-        let sloped = ResponseChanges {
-            changes: (0..self.changes.len())
-                .map(|row| {
-                    slope(row).map_or([0.0; MAX_COLUMNS], |slope| self.predicted(&fit, &slope))
-                })
-                .collect(),
-            ..self.clone()
-        };
+        let predicted_slope =
+            |row| slope(row).map_or([0.0; MAX_COLUMNS], |slope| self.predicted(&fit, &slope));
+        let changes = (0..self.changes.len()).map(predicted_slope).collect();
+        let sloped = ResponseChanges { changes, ..self.clone() };
         let sloped_fit = sloped.fit(&references);
         let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
             return (f64::INFINITY, 1.0);
@@ -509,10 +504,7 @@ impl ResponseChanges {
             return (0.0, pure.0, pure.1);
         };
         let between = (1..TIME_CONSTANT_STEPS).step_by(2).map(step);
-        let coarse = between.min_by(by_residual).map_or(coarse, |other| match other.2 < coarse.2 {
-            true => other,
-            false => coarse,
-        });
+        let coarse = std::iter::once(coarse).chain(between).min_by(by_residual).unwrap_or(coarse);
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
         let best = finer.min_by(by_residual).unwrap_or(coarse);
         let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1

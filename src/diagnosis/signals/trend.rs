@@ -137,8 +137,7 @@ impl LineFit {
     /// `None` if all of `x` are equal.
     fn fit(estimates: &[RunEstimate], x: &[f64]) -> Option<Self> {
         let dof = estimates.len() as f64 - 2.0;
-        let squares =
-            |variance: f64| WeightedFit::fit(estimates, x, variance).map(|fit| fit.squares);
+        let squares = |variance: f64| Self::with_variance(estimates, x, variance).map(|fit| fit.1);
         let mut high =
             estimates.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
@@ -154,30 +153,11 @@ impl LineFit {
         } else {
             high = 0.0;
         }
-        let fit = WeightedFit::fit(estimates, x, high)?;
-        let logs: f64 = estimates.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
-        let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
-        Some(Self {
-            slope: measured(fit.slope, fit.slope_variance),
-            level: measured(fit.level, fit.level_variance),
-            middle: fit.middle,
-            spread: high.sqrt(),
-            log_likelihood: -0.5 * (logs + fit.squares),
-        })
+        Some(Self::with_variance(estimates, x, high)?.0)
     }
-}
 
-struct WeightedFit {
-    slope: f64,
-    slope_variance: f64,
-    level: f64,
-    level_variance: f64,
-    middle: f64,
-    squares: f64,
-}
-
-impl WeightedFit {
-    fn fit(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
+    /// Fit with this variance between runs, and its weighted sum of squares.
+    fn with_variance(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<(Self, f64)> {
         let rows = || {
             estimates
                 .iter()
@@ -193,9 +173,18 @@ impl WeightedFit {
         }
         let slope = rows().map(|(w, x, y)| w * (x - middle) * (y - level)).sum::<f64>() / across;
         let residual = |x: f64, y: f64| y - level - slope * (x - middle);
-        let squares = rows().map(|(w, x, y)| w * residual(x, y).powi(2)).sum();
-        let (slope_variance, level_variance) = (1.0 / across, 1.0 / weight);
-        Some(Self { slope, slope_variance, level, level_variance, middle, squares })
+        let squares: f64 = rows().map(|(w, x, y)| w * residual(x, y).powi(2)).sum();
+        let logs: f64 = rows().map(|(w, ..)| -w.ln()).sum();
+        let dof = estimates.len() as f64 - 2.0;
+        let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
+        let fit = Self {
+            slope: measured(slope, 1.0 / across),
+            level: measured(level, 1.0 / weight),
+            middle,
+            spread: variance.sqrt(),
+            log_likelihood: -0.5 * (logs + squares),
+        };
+        Some((fit, squares))
     }
 }
 

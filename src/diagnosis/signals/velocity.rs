@@ -4,9 +4,9 @@
 
 use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
-use crate::samples::sampling::row_blocks;
+use crate::samples::sampling::{range_of, row_blocks};
 use crate::{NotObservable, Response};
-use ground::stats::Measured;
+use ground::stats::{Measured, quantile};
 use ground::stream::sample_noise;
 
 /// Samples of one joint.
@@ -169,16 +169,16 @@ impl VelocityWindows {
         }
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
-        let (min_window_s, max_window_s) =
-            q.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
-        let integral = Integral::new(&t_s, &v);
+        let [lowest, highest] = range_of(q.iter().copied());
+        let integrals = integrals(&t_s, &v);
         let mut noise = noise(&t_s, &q, &v);
-        if max_window_s - min_window_s < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
+        if highest - lowest < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
             return Err(NotObservable::AtRest);
         }
         let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
-            let (changes, moved, between) = integral.windows(&t_s, &q, joint.breaks, window_s);
+            let (changes, moved, between) =
+                changes_over_windows(&integrals, &t_s, &q, joint.breaks, window_s);
             noise.between = between;
             let square = mean_square(&moved);
             let is_clear = noise.window_variance(window_s, square)
@@ -211,12 +211,10 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
 
 /// 2 % quantile of nonzero changes. Almost zero without quantisation.
 fn quantisation_step(q: &[f64]) -> f64 {
-    const QUANTILE_DIVISOR: usize = 50;
     const ROUNDING_TOLERANCE: f64 = 1e-9;
     let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
     let mut steps: Vec<f64> = steps.filter(|&step| step > ROUNDING_TOLERANCE).collect();
-    let at = steps.len() / QUANTILE_DIVISOR;
-    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
+    quantile(&mut steps, 0.02).unwrap_or(0.0)
 }
 
 /// Encoder step if all positions are multiples of it; otherwise 0. Long series are sampled in stretches if
@@ -243,61 +241,52 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
-struct Integral {
-    /// Values by cubic and by linear interpolation.
-    at: Vec<[f64; 2]>,
+/// Of a velocity, by cubic and by linear interpolation.
+fn integrals(t_s: &[f64], v: &[f64]) -> [Vec<f64>; 2] {
+    let slopes = slopes(t_s, v);
+    let (mut cubic, mut linear) = (vec![0.0], vec![0.0]);
+    for row in 1..t_s.len() {
+        let length_s = t_s[row] - t_s[row - 1];
+        let trapezoid = 0.5 * length_s * (v[row] + v[row - 1]);
+        let correction = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
+        cubic.push(cubic[row - 1] + trapezoid - correction);
+        linear.push(linear[row - 1] + trapezoid);
+    }
+    [cubic, linear]
 }
 
-impl Integral {
-    fn new(t_s: &[f64], v: &[f64]) -> Self {
-        let slopes = slopes(t_s, v);
-        let mut at = vec![[0.0; 2]];
-        for row in 1..t_s.len() {
-            let length_s = t_s[row] - t_s[row - 1];
-            let trapezoid = 0.5 * length_s * (v[row] + v[row - 1]);
-            let correction = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
-            let [cubic_before, trapezoid_before] = at[row - 1];
-            at.push([cubic_before + trapezoid - correction, trapezoid_before + trapezoid]);
-        }
-        Self { at }
+/// Changes of the cubic integral and of the position, and the variance due to interpolation.
+fn changes_over_windows(
+    [cubic, linear]: &[Vec<f64>; 2],
+    t_s: &[f64],
+    q: &[f64],
+    breaks: &[f64],
+    window_s: f64,
+) -> (ResponseChanges, Vec<f64>, f64) {
+    let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
+    let columns = [cubic.clone(), linear.clone(), q.to_vec()];
+    let all = ResponseChanges::from_windows(t_s, &columns, span, window_s);
+    let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
+    // Unknown velocity in a gap, unknown position across a break.
+    let is_gap = |pair: &&[f64]| {
+        pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
+    };
+    let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
+    let is_whole = |window: &(f64, f64)| {
+        let next = gaps.partition_point(|gap_s| *gap_s < window.0);
+        gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
+    };
+    let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
+    let (mut moved, mut square) = (Vec::new(), 0.0);
+    for (&window, by) in all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
+    {
+        changes.windows.push(window);
+        changes.changes.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
+        moved.push(by[2]);
+        square += (0.5 * (by[0] - by[1])).powi(2);
     }
-
-    /// Changes of integral and position, and the variance due to interpolation.
-    fn windows(
-        &self,
-        t_s: &[f64],
-        q: &[f64],
-        breaks: &[f64],
-        window_s: f64,
-    ) -> (ResponseChanges, Vec<f64>, f64) {
-        let [cubic, trapezoid] =
-            [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
-        let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
-        let all =
-            ResponseChanges::from_windows(t_s, &[cubic, trapezoid, q.to_vec()], span, window_s);
-        let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
-        // Unknown velocity in a gap, unknown position across a break.
-        let is_gap = |pair: &&[f64]| {
-            pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
-        };
-        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
-        let is_whole = |window: &(f64, f64)| {
-            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
-            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
-        };
-        let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
-        let (mut moved, mut square) = (Vec::new(), 0.0);
-        for (&window, by) in
-            all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
-        {
-            changes.windows.push(window);
-            changes.changes.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
-            moved.push(by[2]);
-            square += (0.5 * (by[0] - by[1])).powi(2);
-        }
-        let between = square / moved.len().max(1) as f64;
-        (changes, moved, between)
-    }
+    let between = square / moved.len().max(1) as f64;
+    (changes, moved, between)
 }
 
 fn shape(
@@ -327,12 +316,11 @@ fn shape(
     let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
     let sign = if along < 0.0 { -1.0 } else { 1.0 };
     let gain_of = |curve: &TimeSeries| {
-        let fits = [1.0, -1.0].map(|sign| (sign, signed(sign).gain(curve)));
-        let [(sign, (gain, residual)), _] = match fits[0].1.1 <= fits[1].1.1 {
-            true => fits,
-            false => [fits[1], fits[0]],
-        };
-        (sign * gain, residual)
+        let [forward, backward] = [1.0, -1.0].map(|sign| {
+            let (gain, residual) = signed(sign).gain(curve);
+            (sign * gain, residual)
+        });
+        if forward.1 <= backward.1 { forward } else { backward }
     };
     let (gain, residual) = gain_of(curve);
     if residual <= allowed {

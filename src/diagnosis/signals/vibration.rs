@@ -158,10 +158,9 @@ pub fn vibration_path(
         return None;
     }
     let path: Vec<Vec3> = (start..start + length).map(&mut position_m).collect();
-    let power = Spectrum::new(length, 1.0 / period_s).power(&path);
-    let bin_hz = 1.0 / (period_s * length as f64);
-    let spectrum = power.iter().enumerate().skip(1);
-    let spectrum = spectrum.map(|(bin, power)| [bin as f64 * bin_hz, power.sqrt()]);
+    let mut spectrum = Spectrum::new(length, 1.0 / period_s);
+    let power = spectrum.power(&path).into_iter().enumerate().skip(1);
+    let lines = power.map(|(bin, power)| [bin as f64 * spectrum.bin_hz, power.sqrt()]);
     let axes = [0, 1, 2].map(|axis| {
         let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
         remove_parabola(&mut values);
@@ -170,7 +169,7 @@ pub fn vibration_path(
     let size = |values: &Vec<f64>| values.iter().map(|value| value * value).sum::<f64>();
     let most = axes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
     let trace = times.iter().zip(most).map(|(&t_s, value)| [t_s, value]);
-    Some(VibrationPath { spectrum: spectrum.collect(), trace: trace.collect() })
+    Some(VibrationPath { spectrum: lines.collect(), trace: trace.collect() })
 }
 
 /// Median interval, s.
@@ -187,7 +186,8 @@ struct Spectrum {
     plan: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
     /// Hann, unit mean square.
     taper: Vec<f64>,
-    rate_hz: f64,
+    /// Width of a bin.
+    bin_hz: f64,
 }
 
 impl Spectrum {
@@ -196,7 +196,7 @@ impl Spectrum {
         let hann = |at: usize| 0.5 * (1.0 - (TAU * at as f64 / length as f64).cos());
         let unit = (8.0_f64 / 3.0).sqrt();
         let taper = (0..length).map(|at| unit * hann(at)).collect();
-        Self { plan, taper, rate_hz }
+        Self { plan, taper, bin_hz: rate_hz / length as f64 }
     }
 
     /// Centred at `at_s`; `work` is the commanded path.
@@ -207,20 +207,15 @@ impl Spectrum {
         at_s: f64,
     ) -> Vibration {
         let power = self.power(path);
-        let from = (MAX_ARM_MOTION_HZ / self.bin_hz(path.len())).ceil() as usize;
-        let fast = self.vibration_above(&power, from, path.len(), at_s);
+        let from = (MAX_ARM_MOTION_HZ / self.bin_hz).ceil() as usize;
+        let fast = self.vibration_above(&power, from, at_s);
         let Some(work) = work.map(|work| self.power(work)) else { return fast };
-        let ends = self.end_of_commanded_motion(&work, from, path.len());
-        let slow = self.vibration_above(&power, ends, path.len(), at_s);
-        let strongest = (slow.frequency_hz / self.bin_hz(path.len())).round() as usize;
+        let slow = self.vibration_above(&power, self.end_of_commanded_motion(&work, from), at_s);
+        let strongest = (slow.frequency_hz / self.bin_hz).round() as usize;
         let about = power.get(strongest.saturating_sub(2)..).unwrap_or_default();
         let tone: f64 = about.iter().take(5).sum();
         let is_tone = strongest < from && tone > MIN_TONE_SHARE * slow.rms_m.powi(2);
         if is_tone && slow.rms_m > fast.rms_m { slow } else { fast }
-    }
-
-    fn bin_hz(&self, length: usize) -> f64 {
-        self.rate_hz / length as f64
     }
 
     /// Summed over three axes, m².
@@ -242,12 +237,16 @@ impl Spectrum {
         power
     }
 
+    /// Bins from `from` upwards, without the Nyquist bin, whose power counts once.
+    fn band<'p>(&self, power: &'p [f64], from: usize) -> &'p [f64] {
+        power.get(from..self.taper.len().div_ceil(2)).unwrap_or_default()
+    }
+
     /// First bin above the commanded motion, at most `max_bin`.
-    fn end_of_commanded_motion(&self, power: &[f64], max_bin: usize, length: usize) -> usize {
-        let min_bin = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
-        let mut fast = power.get(max_bin..length.div_ceil(2)).unwrap_or_default().to_vec();
+    fn end_of_commanded_motion(&self, power: &[f64], max_bin: usize) -> usize {
+        let min_bin = (MIN_TONE_HZ / self.bin_hz).ceil() as usize;
         // Encoder noise.
-        let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
+        let floor = noise_power(self.band(power, max_bin));
         let mut power_above = 0.0;
         for bin in (min_bin..max_bin).rev() {
             power_above += (power.get(bin).unwrap_or(&0.0) - 3.0 * floor).max(0.0);
@@ -259,18 +258,15 @@ impl Spectrum {
     }
 
     /// Vibration from bin `from` upwards.
-    fn vibration_above(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
+    fn vibration_above(&self, power: &[f64], from: usize, at_s: f64) -> Vibration {
         /// Not exceeded by chance.
         const NOISE_SIGMAS: f64 = 6.0;
-        let bin_hz = self.bin_hz(length);
-        // Without the Nyquist bin, whose power counts once.
-        let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
+        let band = self.band(power, from);
         let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
             return Vibration::default();
         };
         let count = band.len() as f64;
-        let mut sorted = band.to_vec();
-        let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
+        let floor = noise_power(band);
         let excess = band.iter().sum::<f64>() - count * floor;
         // With six degrees of freedom the standard deviation is 1/√3 of the mean; neighbouring bins are
         // correlated.
@@ -278,13 +274,18 @@ impl Spectrum {
         let is_shake = excess > by_chance && excess.is_finite();
         Vibration {
             rms_m: if is_shake { excess.sqrt() } else { 0.0 },
-            from_hz: from as f64 * bin_hz,
+            from_hz: from as f64 * self.bin_hz,
             noise_m: (count * floor).sqrt(),
             resolved_m: by_chance.sqrt(),
-            frequency_hz: (from + strongest) as f64 * bin_hz,
+            frequency_hz: (from + strongest) as f64 * self.bin_hz,
             at_s,
         }
     }
+}
+
+/// Mean power of white noise in a band.
+fn noise_power(band: &[f64]) -> f64 {
+    median(&mut band.to_vec()).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER
 }
 
 /// Removes one step, such as a slipping tool or clock adjustment. Vibration repeats.

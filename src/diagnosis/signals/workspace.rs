@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
+use crate::samples::sampling::range_of;
 use ground::geometry::{Pose, Vec3, angle_between};
 use ground::robot::{Chain, JointKind, Limits};
 
@@ -31,9 +32,7 @@ impl JointSpan {
     /// Span of positions, rad or m. `None` if none is finite.
     pub fn from_positions(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
         let finite = || positions.iter().copied().filter(|position| position.is_finite());
-        let none = (f64::INFINITY, f64::NEG_INFINITY);
-        let (lowest, highest) =
-            finite().fold(none, |(lowest, highest), q| (q.min(lowest), q.max(highest)));
+        let [lowest, highest] = range_of(finite());
         if lowest > highest {
             return None;
         }
@@ -168,10 +167,8 @@ pub fn cell_centre_m(cell: [i32; 3]) -> [f64; 3] {
 /// Smallest and largest tip distance from the base, m. `None` without positions.
 pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f64, f64)> {
     let distances = rows.map(|q| chain.forward(&q).translation.vector.norm());
-    distances.filter(|distance| distance.is_finite()).fold(None, |ends, distance| {
-        let (min_m, max_m) = ends.unwrap_or((distance, distance));
-        Some((distance.min(min_m), distance.max(max_m)))
-    })
+    let [min_m, max_m] = range_of(distances.filter(|distance| distance.is_finite()));
+    (min_m <= max_m).then_some((min_m, max_m))
 }
 
 #[cfg(test)]
