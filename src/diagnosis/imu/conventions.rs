@@ -97,7 +97,8 @@ impl ImuConventions {
         let free = if free.len() < MIN_FIT_SAMPLES { pairs.clone() } else { free };
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
-        let mirrored = mirrored_axis(&free, factor, stream.link_from_imu.map(|pose| pose.rotation));
+        let free = scaled(&free, factor);
+        let mirrored = mirrored_axis(&free, stream.link_from_imu.map(|pose| pose.rotation));
         let clipped = detect_saturation(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
         Self {
             degrees,
@@ -135,31 +136,25 @@ impl ImuConventions {
 
 const EQUALITY_TOLERANCE: f64 = 1e-5;
 
-/// Row, gyro as logged, and FK body rate of the link, rad/s.
-type RatePair = (usize, Vec3, Vec3);
+/// Row, gyro, and FK body rate of the link, rad/s.
+pub(super) type RatePair = (usize, Vec3, Vec3);
+
+/// With the gyro in another unit.
+fn scaled(pairs: &[RatePair], factor: f64) -> Vec<RatePair> {
+    pairs.iter().map(|&(row, gyro, rate)| (row, factor * gyro, rate)).collect()
+}
 
 impl Link<'_> {
     /// Samples while the arm moves.
     fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
-        let track = self.stream.track;
-        let mut buffers = self.buffers();
-        let rows = (0..track.t_s.len()).step_by(self.stride());
-        rows.filter_map(|k| {
-            let link_state = self.at(track.t_s[k] - lag_s, &mut buffers)?;
-            let rate = link_state.rotation.inverse() * link_state.rate;
-            link_state.moving.then_some((k, track.gyro[k], rate))
-        })
-        .collect()
+        let moving = self.states(self.rows(), self.delay(lag_s)).filter(|(_, state)| state.moving);
+        moving.map(|(row, state)| (row, self.stream.track.gyro[row], state.body_rate())).collect()
     }
 
     fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
-        let track = self.stream.track;
-        let mut buffers = self.buffers();
-        let rows = (0..track.t_s.len()).step_by(self.stride());
-        rows.filter(|&k| {
-            self.at(track.t_s[k] - lag_s, &mut buffers).is_some_and(|link_state| !link_state.moving)
-        })
-        .collect()
+        let resting =
+            self.states(self.rows(), self.delay(lag_s)).filter(|(_, state)| !state.moving);
+        resting.map(|(row, _)| row).collect()
     }
 }
 
@@ -180,53 +175,53 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
         return None;
     }
     let left = |factor: f64| {
-        let mount = Alignment::fit(pairs, factor);
-        rms(pairs.iter().map(|(_, gyro, rate)| mount.residual(&(gyro * factor), rate).norm()))
+        let scaled = scaled(pairs, factor);
+        Alignment::fit(&scaled).rms_residual(&scaled)
     };
     let slip = UnitResiduals { as_logged: left(1.0), corrected: left(1f64.to_radians()) };
     (slip.corrected < MAX_RESIDUAL_SHARE * by_fk).then_some(slip)
 }
 
-struct Alignment {
-    link_from_imu: Rotation,
-    bias: Vec3,
+/// Mount and bias that map the link's rates to the gyro's.
+pub(super) struct Alignment {
+    pub link_from_imu: Rotation,
+    pub bias: Vec3,
+    pub mean_rate: Vec3,
 }
 
 impl Alignment {
-    fn fit(pairs: &[RatePair], factor: f64) -> Self {
+    pub fn fit(pairs: &[RatePair]) -> Self {
         let n = pairs.len().max(1) as f64;
-        let mean = pairs.iter().map(|(_, gyro, _)| gyro * factor).sum::<Vec3>() / n;
+        let mean = pairs.iter().map(|(_, gyro, _)| gyro).sum::<Vec3>() / n;
         let mean_rate = pairs.iter().map(|(_, _, rate)| rate).sum::<Vec3>() / n;
         let correlation: Matrix3<f64> = pairs
             .iter()
-            .map(|(_, gyro, rate)| (rate - mean_rate) * (gyro * factor - mean).transpose())
+            .map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose())
             .sum();
         let link_from_imu = rotation_by_wahba(&correlation);
-        Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate }
+        Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate, mean_rate }
     }
 
     fn expected(&self, rate: &Vec3) -> Vec3 {
         self.link_from_imu.inverse() * rate + self.bias
     }
 
-    fn residual(&self, gyro: &Vec3, rate: &Vec3) -> Vec3 {
-        gyro - self.expected(rate)
+    pub fn rms_residual(&self, pairs: &[RatePair]) -> f64 {
+        rms(pairs.iter().map(|(_, gyro, rate)| (gyro - self.expected(rate)).norm()))
     }
 }
 
 /// Reversed gyro axis, if only left-handed axes match. Selects the axis whose mount is closest to the
 /// logged one.
-fn mirrored_axis(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
+fn mirrored_axis(pairs: &[RatePair], known_mount: Option<Rotation>) -> Option<usize> {
     /// Share of the right-handed residual and of the arm's rate.
     const MAX_RESIDUAL_SHARE: f64 = 0.3;
     if pairs.len() < MIN_FIT_SAMPLES {
         return None;
     }
     let left = |pairs: &[RatePair]| {
-        let mount = Alignment::fit(pairs, factor);
-        let off =
-            rms(pairs.iter().map(|(_, gyro, rate)| mount.residual(&(gyro * factor), rate).norm()));
-        (off, mount.link_from_imu)
+        let alignment = Alignment::fit(pairs);
+        (alignment.rms_residual(pairs), alignment.link_from_imu)
     };
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
     let right_handed = left(pairs).0;
@@ -273,8 +268,8 @@ impl SaturationLevel {
     }
 }
 
-/// The gyro stays at an extreme while the arm turns faster. `free` pairs determine the mount; `factor`
-/// converts to rad/s.
+/// The gyro stays at an extreme while the arm turns faster. `free` pairs, in rad/s, determine the mount; `factor`
+/// converts the others.
 fn detect_saturation(
     plateaus: &[SaturationLevel],
     pairs: &[RatePair],
@@ -287,7 +282,7 @@ fn detect_saturation(
     if plateaus.is_empty() || free.len() < MIN_FIT_SAMPLES {
         return None;
     }
-    let mount = Alignment::fit(free, factor);
+    let mount = Alignment::fit(free);
     let mut by_fk_rad_s = 0.0_f64;
     let mut is_passed = |plateau: &&SaturationLevel| {
         let SaturationLevel { axis, extreme: most, at } = plateau;
@@ -380,12 +375,9 @@ mod tests {
     fn a_reversed_axis_is_identified_by_the_mount() {
         let reversed = pairs(|rate| Vec3::new(rate.x, -rate.y, rate.z));
         let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
-        assert_eq!(mirrored_axis(&reversed, 1.0, Some(mount)), Some(1));
-        assert!(mirrored_axis(&reversed, 1.0, None).is_some());
-        assert_eq!(
-            mirrored_axis(&pairs(|rate| Vec3::new(-rate.x, -rate.y, rate.z)), 1.0, None),
-            None
-        );
+        assert_eq!(mirrored_axis(&reversed, Some(mount)), Some(1));
+        assert!(mirrored_axis(&reversed, None).is_some());
+        assert_eq!(mirrored_axis(&pairs(|rate| Vec3::new(-rate.x, -rate.y, rate.z)), None), None);
     }
 
     #[test]

@@ -10,8 +10,8 @@ use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMou
 use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block,
-    check_explained, mount_of, rms, rotated_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, check_explained,
+    mount_of, rms,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::{LatencySample, fit_profile};
@@ -21,7 +21,7 @@ use crate::{EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, 
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stream::sample_noise;
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DVector, Matrix3};
 use std::ops::{Range, RangeInclusive};
 
 const FLOOR_RAD_S: f64 = 1e-6;
@@ -147,18 +147,10 @@ impl Link<'_> {
             return logged;
         }
         let track = self.stream.track;
-        let mut buffers = self.buffers();
-        let mut correlation = Matrix3::zeros();
-        for k in (0..track.t_s.len()).step_by(self.stride()) {
-            if self.numbers.saturates(&track.gyro[k]) {
-                continue;
-            }
-            if let Some(link_state) = self.at(track.t_s[k] - lag_s, &mut buffers) {
-                correlation +=
-                    link_state.rotation.inverse() * link_state.rate * track.gyro[k].transpose();
-            }
-        }
-        mount_of(&correlation, &logged)
+        let rows = self.rows().filter(|&row| !self.numbers.saturates(&track.gyro[row]));
+        let states = self.states(rows, self.delay(lag_s));
+        let products = states.map(|(row, state)| state.body_rate() * track.gyro[row].transpose());
+        mount_of(&products.sum(), &logged)
     }
 
     /// Windows of at least `window_s`, without gaps, with FK at both ends.
@@ -254,10 +246,9 @@ impl GyroModel<'_> {
         let mut buffers = self.link.buffers();
         let mut rate_at = |t_s: f64| {
             let link_state = self.link.at(t_s, &mut buffers)?;
-            Some((link_state.rotation.inverse() * link_state.rate, link_state.rate_noise))
+            Some((link_state.body_rate(), link_state.rate_noise))
         };
-        let rows = (0..track.t_s.len()).step_by(self.link.stride());
-        let rows = rows.filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
+        let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
             let truth_s = self.delay.truth_s(track.t_s[k]);
             let [before, rate, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
@@ -448,17 +439,11 @@ impl GyroModel<'_> {
 
     /// Mean rate about the base's z that the bias simulates.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
-        let (mut sum, mut count) = (0.0, 0.0);
-        for window in &self.windows {
-            let truth_s = self.delay.truth_s(t_s[*window.start()]);
-            if let Some(link_state) = self.link.at(truth_s, &mut buffers) {
-                sum += (link_state.rotation * (self.link_from_imu * bias_rad_s)).z;
-                count += 1.0;
-            }
-        }
-        if count > 0.0 { sum / count } else { 0.0 }
+        let starts = self.windows.iter().map(|window| *window.start());
+        let in_link = self.link_from_imu * bias_rad_s;
+        let states = self.link.states(starts, self.delay);
+        let rates: Vec<f64> = states.map(|(_, state)| (state.rotation * in_link).z).collect();
+        rates.iter().sum::<f64>() / rates.len().max(1) as f64
     }
 }
 
@@ -531,9 +516,7 @@ impl Model for GyroModel<'_> {
             sample_noise(&track.gyro.iter().map(|gyro| gyro[axis]).collect::<Vec<f64>>()).powi(2)
         };
         let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
-        let width = self.effects.width();
-        let mut squares = DMatrix::zeros(width, width);
-        let slip = self.effects.of(Block::Mount).next();
+        let mut noise = DesignNoise::zeros(self.effects.width());
         let mut buffers = self.link.buffers();
         for window in &self.windows {
             let [from_s, to_s] = [*window.start(), *window.end()].map(|k| track.t_s[k]);
@@ -542,15 +525,10 @@ impl Model for GyroModel<'_> {
                 continue;
             };
             let per_s = 1.0 / (to_s - from_s);
-            let base_from_imu = (last.rotation * self.mount_at(to_s)).to_rotation_matrix();
+            let base_from_imu = last.rotation * self.mount_at(to_s);
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
-            let in_imu = base_from_imu.matrix().tr_mul(&(in_base * base_from_imu.matrix()));
-            let rotation_noise = rotated_noise(&in_imu);
-            add_block(&mut squares, Self::MOUNT.start, &rotation_noise);
-            if let Some(slip) = slip {
-                let weight = slip.profile.weights(from_s, &Rotation::identity())[0];
-                add_block(&mut squares, slip.columns.start, &(rotation_noise * weight));
-            }
+            noise.add_to_mount(&Self::MOUNT, &self.effects, from_s, &base_from_imu, &in_base);
+            let squares = &mut noise.squares;
             if first.moving || last.moving {
                 let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
                 squares[(Self::LATENCY, Self::LATENCY)] += by_ends;
@@ -561,10 +539,13 @@ impl Model for GyroModel<'_> {
                 squares[(column, column)] += of_mean * unit.norm_squared();
             }
         }
-        let slip = slip.map(|slip| slip.columns.clone().collect());
-        let first = [self.scale_columns.clone().collect(), vec![Self::SKEW], vec![Self::LATENCY]];
-        let groups = first.into_iter().chain(slip).chain([Self::MOUNT.collect()]).collect();
-        DesignNoise { squares, groups }
+        noise.groups =
+            vec![self.scale_columns.clone().collect(), vec![Self::SKEW], vec![Self::LATENCY]];
+        noise
+            .groups
+            .extend(self.effects.of(Block::Mount).map(|slip| slip.columns.clone().collect()));
+        noise.groups.push(Self::MOUNT.collect());
+        noise
     }
 
     fn apply(&mut self, delta: &DVector<f64>) {

@@ -21,7 +21,8 @@ mod tilt;
 use crate::encodings::reinterpret::decode_rotations;
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::correlation::{
-    ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, equal_peaks, lag_peaks, norm_series,
+    ArmSpeeds, LagPeak, SpeedSeries, angular_speed, correlation_by_lag, equal_peaks, lag_peaks,
+    norm_series,
 };
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
 use crate::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
@@ -35,7 +36,7 @@ pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::Matrix3;
 
 pub(super) const MAX_IMU_FIT_SAMPLES: usize = 5000;
 /// Minimum for an IMU that follows the arm.
@@ -168,22 +169,28 @@ pub fn angular_speed_correlation(
     stream: &ImuStream,
     max_lag_s: f64,
 ) -> Vec<LagPeak> {
-    let track = stream.track;
+    by_better_signal(joints, stream, |link_speed, speed| {
+        let mut by_lag = correlation_by_lag(link_speed, speed, max_lag_s);
+        by_lag.retain(|at| at.correlation.is_finite());
+        by_lag
+    })
+}
+
+/// Correlation of the link's angular speed with that of the gyro or of the orientation, whichever is higher.
+fn by_better_signal(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    correlate: impl Fn(&SpeedSeries, &SpeedSeries) -> Vec<LagPeak>,
+) -> Vec<LagPeak> {
+    let ImuTrack { t_s, gyro, orientation, .. } = stream.track;
     let link_speed = ArmSpeeds::from_joints(joints, stream.chain, stream.columns).angular;
-    let correlation_of = |speed| {
-        let mut correlation_of = correlation_by_lag(&link_speed, &speed, max_lag_s);
-        correlation_of.retain(|at| at.correlation.is_finite());
-        correlation_of
-    };
-    let best = |correlation_of: &[LagPeak]| {
-        correlation_of.iter().map(|at| at.correlation).fold(f64::MIN, f64::max)
-    };
-    let gyro = correlation_of(norm_series(&track.t_s, &track.gyro));
-    let by_orientation = match track.orientation.is_empty() {
-        true => Vec::new(),
-        false => correlation_of(angular_speed(&track.t_s, &track.orientation)),
-    };
-    if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
+    let by_gyro = correlate(&link_speed, &norm_series(t_s, gyro));
+    if orientation.is_empty() {
+        return by_gyro;
+    }
+    let by_orientation = correlate(&link_speed, &angular_speed(t_s, orientation));
+    let best = |by_lag: &[LagPeak]| by_lag.first().map_or(f64::MIN, |peak| peak.correlation);
+    if best(&by_orientation) > best(&by_gyro) { by_orientation } else { by_gyro }
 }
 
 /// Decodes the orientations with `encoding`; of several possible rotations, selects the one closest to FK.
@@ -278,16 +285,6 @@ fn joint_noise(joints: &JointTrack, column: usize, rest_speeds: &[f64]) -> [f64;
     [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
 }
 
-/// Contribution of noise δ with this covariance to `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
-fn rotated_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
-    Matrix3::from_diagonal_element(covariance.trace()) - covariance
-}
-
-fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
-    let mut target = matrix.fixed_view_mut::<3, 3>(at, at);
-    target += block;
-}
-
 /// Mount from `Σ link·imuᵀ`. If the directions vary too little, selects the solution closest to `expected`.
 fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
     /// As a share of the best-observed directions.
@@ -309,6 +306,13 @@ struct LinkState {
     /// Trace of the covariance, rad²/s².
     rate_noise: f64,
     moving: bool,
+}
+
+impl LinkState {
+    /// Angular rate in the link, rad/s.
+    fn body_rate(&self) -> Vec3 {
+        self.rotation.inverse() * self.rate
+    }
 }
 
 /// Checks that the model explains the IMU's rotation, given its rms and the rms residual.
@@ -393,30 +397,17 @@ impl<'a> Link<'a> {
 
     /// Lags at which the IMU's speed correlates with the link's, most likely first.
     fn peaks(&self, max_lag_s: f64) -> Vec<LagPeak> {
-        let track = self.stream.track;
-        let ImuStream { chain, columns, .. } = *self.stream;
-        let link_speed = ArmSpeeds::from_joints(self.joints, chain, columns).angular;
-        let gyro = lag_peaks(&link_speed, &norm_series(&track.t_s, &track.gyro), max_lag_s);
-        let by_orientation = match track.orientation.is_empty() {
-            true => Vec::new(),
-            false => {
-                lag_peaks(&link_speed, &angular_speed(&track.t_s, &track.orientation), max_lag_s)
-            }
-        };
-        let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-        if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
+        by_better_signal(self.joints, self.stream, |link_speed, speed| {
+            lag_peaks(link_speed, speed, max_lag_s)
+        })
     }
 
     /// Rms rotation of the link by FK about its mean in each block of the run.
     fn rotation_rms_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
         let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
-        let mut buffers = self.buffers();
-        let rotations: Vec<Rotation> = stamps
-            .iter()
-            .step_by(step)
-            .filter_map(|&stamp| Some(self.at(delay.truth_s(stamp), &mut buffers)?.rotation))
-            .collect();
+        let states = self.states((0..stamps.len()).step_by(step), *delay);
+        let rotations: Vec<Rotation> = states.map(|(_, state)| state.rotation).collect();
         let blocks = rotations.chunks(rotations.len().div_ceil(BLOCKS).max(1));
         rms(blocks.flat_map(|block| {
             let mean = mean_rotation(block);
@@ -439,7 +430,20 @@ impl<'a> Link<'a> {
         }
     }
 
-    fn stride(&self) -> usize {
-        self.stream.track.t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1)
+    /// Evenly thinned rows of the stream.
+    fn rows(&self) -> impl Iterator<Item = usize> + use<> {
+        let rows = self.stream.track.t_s.len();
+        (0..rows).step_by(rows.div_ceil(MAX_IMU_FIT_SAMPLES).max(1))
+    }
+
+    /// States of the link at rows of the stream. Skips rows that the joint states do not cover.
+    fn states(
+        &self,
+        rows: impl Iterator<Item = usize>,
+        delay: Delay,
+    ) -> impl Iterator<Item = (usize, LinkState)> {
+        let mut buffers = self.buffers();
+        let t_s = &self.stream.track.t_s;
+        rows.filter_map(move |row| Some((row, self.at(delay.truth_s(t_s[row]), &mut buffers)?)))
     }
 }

@@ -7,8 +7,8 @@ use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, add_block,
-    mount_of, rms, rotated_noise,
+    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
+    mount_of, rms,
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
@@ -25,7 +25,7 @@ use crate::{
 };
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DVector, Matrix3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
@@ -116,13 +116,11 @@ impl Link<'_> {
                 .ok_or(why)?,
             Ok(estimated) => estimated,
         };
-        let mut buffers = self.buffers();
         let mut buffer = Vec::new();
         let logged = LoggedRotations::Rotations(&track.orientation);
         let mut model = OrientationModel {
             link: self,
-            rows: Vec::new(),
-            truth: Vec::new(),
+            samples: Vec::new(),
             effects: Effects::new(OrientationModel::LINKS_START + 3 * self.inner_links()),
             delay: start,
             drift_rad_s: 0.0,
@@ -131,27 +129,16 @@ impl Link<'_> {
             world_from_base: fit.reference,
             link_from_imu: known_mount.unwrap_or_default() * fit.tool,
         };
-        for k in (0..track.t_s.len()).step_by(self.stride()) {
-            let truth_s = start.truth_s(track.t_s[k]);
-            let Some(link_state) = self.at(truth_s, &mut buffers) else { continue };
-            let expected = model.world_from_base * link_state.rotation * model.link_from_imu;
-            if let Some(truth) = decode_nearest(
-                &fit.encoding,
-                &RotationCorrections::default(),
-                &logged,
-                k,
-                &expected,
-                &mut buffer,
-            ) {
-                model.rows.push(k);
-                model.truth.push(truth);
-            }
+        let unchanged = RotationCorrections::default();
+        for (k, state) in self.states(self.rows(), start) {
+            let expected = model.world_from_base * state.rotation * model.link_from_imu;
+            let decoded =
+                decode_nearest(&fit.encoding, &unchanged, &logged, k, &expected, &mut buffer);
+            model.samples.extend(decoded.map(|truth| (track.t_s[k], truth)));
         }
-        if model.rows.len() < MIN_FIT_SAMPLES {
-            return Err(NotObservable::TooFewSamples {
-                have: model.rows.len(),
-                need: MIN_FIT_SAMPLES,
-            });
+        if model.samples.len() < MIN_FIT_SAMPLES {
+            let have = model.samples.len();
+            return Err(NotObservable::TooFewSamples { have, need: MIN_FIT_SAMPLES });
         }
         model.init_mount(known_mount.unwrap_or_default());
         Ok((estimate, model))
@@ -179,14 +166,11 @@ impl Link<'_> {
         let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
         let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
         let step = (to - from).div_ceil(ENCODING_SAMPLES).max(1);
-        let mut buffers = self.buffers();
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
-        for k in (from..to).step_by(step) {
-            if let Some(link_state) = self.at(start.truth_s(track.t_s[k]), &mut buffers) {
-                fk.push(link_state.rotation * known_mount.unwrap_or_default());
-                logged.push(track.orientation[k]);
-                forces.push(track.accel[k]);
-            }
+        for (k, state) in self.states((from..to).step_by(step), *start) {
+            fk.push(state.rotation * known_mount.unwrap_or_default());
+            logged.push(track.orientation[k]);
+            forces.push(track.accel[k]);
         }
         let samples = RotationSamples {
             logged: LoggedRotations::Rotations(&logged),
@@ -209,8 +193,8 @@ fn axis_by_sine(rotation: &Rotation) -> Vec3 {
 #[derive(Clone)]
 struct OrientationModel<'a> {
     link: &'a Link<'a>,
-    rows: Vec<usize>,
-    truth: Vec<Rotation>,
+    /// Stamps and decoded orientations.
+    samples: Vec<(f64, Rotation)>,
     effects: Effects,
     delay: Delay,
     drift_rad_s: f64,
@@ -265,12 +249,7 @@ impl OrientationModel<'_> {
         let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
         let error_in_link = known * error;
         let length = solved.mount_error(&Self::MOUNT.collect::<Vec<usize>>(), error.as_slice())?;
-        let mut buffers = self.link.buffers();
-        let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
-        let turned = t_s.filter_map(|t_s| {
-            let link_state = self.link.at(self.delay.truth_s(t_s), &mut buffers)?;
-            Some(link_state.rotation * error_in_link)
-        });
+        let turned = self.states().map(|(.., state)| state.rotation * error_in_link);
         let turned: Vec<Vec3> = turned.collect();
         let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
         let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
@@ -279,6 +258,15 @@ impl OrientationModel<'_> {
             true => Err(NotObservable::NotExcited),
             false => Ok(length),
         }
+    }
+
+    /// Stamps, decoded orientations and states of the link.
+    fn states(&self) -> impl Iterator<Item = (f64, &Rotation, LinkState)> {
+        let mut buffers = self.link.buffers();
+        self.samples.iter().filter_map(move |(stamp_s, truth)| {
+            let state = self.link.at(self.delay.truth_s(*stamp_s), &mut buffers)?;
+            Some((*stamp_s, truth, state))
+        })
     }
 
     /// Side of a slip with more samples.
@@ -355,14 +343,9 @@ impl OrientationModel<'_> {
 
     /// Maps rotation axes of the link to the IMU's, as close to `expected` as the data allow.
     fn init_mount(&mut self, expected: Rotation) {
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
         let mut middle: Option<(Rotation, Rotation)> = None;
         let mut correlation = Matrix3::zeros();
-        for (&k, truth) in self.rows.iter().zip(&self.truth) {
-            let Some(link_state) = self.link.at(self.delay.truth_s(t_s[k]), &mut buffers) else {
-                continue;
-            };
+        for (_, truth, link_state) in self.states() {
             let (link, imu) = *middle.get_or_insert((link_state.rotation, *truth));
             let by_link = axis_by_sine(&(link.inverse() * link_state.rotation));
             let by_imu = axis_by_sine(&(imu.inverse() * truth));
@@ -374,40 +357,26 @@ impl OrientationModel<'_> {
 
     /// Average world rotation for the current mount.
     fn init_world(&mut self) {
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
-        let worlds: Vec<Rotation> = self
-            .rows
-            .iter()
-            .zip(&self.truth)
-            .filter_map(|(&k, truth)| {
-                let link_state = self.link.at(self.delay.truth_s(t_s[k]), &mut buffers)?;
-                let base_from_imu = link_state.rotation * self.mount_at(t_s[k]);
-                let yaw_rad = self.yaw_at(t_s[k], &(self.world_from_base * base_from_imu));
-                let truth = rotation_from_rotvec(Vec3::z() * -yaw_rad) * truth;
-                Some(truth * base_from_imu.inverse())
-            })
-            .collect();
+        let world = |(stamp_s, truth, state): (f64, &Rotation, LinkState)| {
+            let base_from_imu = state.rotation * self.mount_at(stamp_s);
+            let yaw_rad = self.yaw_at(stamp_s, &(self.world_from_base * base_from_imu));
+            let truth = rotation_from_rotvec(Vec3::z() * -yaw_rad) * truth;
+            truth * base_from_imu.inverse()
+        };
+        let worlds: Vec<Rotation> = self.states().map(world).collect();
         self.world_from_base = mean_rotation(&worlds);
     }
 
     /// Residual rotations and angular velocity by FK.
     fn latency_samples(&self, solved: &Solved) -> Vec<LatencySample> {
-        let mut buffers = self.link.buffers();
-        let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
-        let link_states = t_s.filter_map(|t_s| {
-            let link_state = self.link.at(self.delay.truth_s(t_s), &mut buffers)?;
-            let joint_noise = (link_state.rotation_noise.trace() / 3.0).sqrt();
-            Some((t_s, self.world_from_base * link_state.rate, joint_noise))
-        });
-        let to_sample = |((t_s, rate, joint_noise), residual): (_, &Vec3)| LatencySample {
+        let to_sample = |((t_s, _, state), residual): ((f64, _, LinkState), &Vec3)| LatencySample {
             t_s,
             residual: [Vec3::zeros(), *residual],
-            velocity: [Vec3::zeros(), rate],
+            velocity: [Vec3::zeros(), self.world_from_base * state.rate],
             loads: [0.0; 2],
-            joint_noise,
+            joint_noise: (state.rotation_noise.trace() / 3.0).sqrt(),
         };
-        link_states.zip(&solved.residuals).map(to_sample).collect()
+        self.states().zip(&solved.residuals).map(to_sample).collect()
     }
 
     /// Stamp and total yaw error relative to FK, and the headings that it separates: of the IMU axis furthest
@@ -458,8 +427,7 @@ impl Model for OrientationModel<'_> {
         let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD]);
         let (mut t_s, mut world_from_imu) = (Vec::new(), Vec::new());
         let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
-        for (&k, truth) in self.rows.iter().zip(&self.truth) {
-            let stamp = self.link.stream.track.t_s[k];
+        for &(stamp, truth) in &self.samples {
             let truth_s = self.delay.truth_s(stamp);
             let Some(link_state) = self.link.at(truth_s, &mut buffers) else { continue };
             let mount = self.mount_at(stamp);
@@ -501,32 +469,23 @@ impl Model for OrientationModel<'_> {
 
     /// FK noise in the columns of mount and delay.
     fn design_noise(&self) -> DesignNoise {
-        let width = self.effects.width();
-        let mut squares = DMatrix::zeros(width, width);
-        let mut buffers = self.link.buffers();
-        let slip = self.effects.of(Block::Mount).next();
-        let stamps = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
-        for stamp in stamps {
-            let Some(link_state) = self.link.at(self.delay.truth_s(stamp), &mut buffers) else {
-                continue;
-            };
-            let base_from_imu = (link_state.rotation * self.mount_at(stamp)).to_rotation_matrix();
-            let in_imu = link_state.rotation_noise * base_from_imu.matrix();
-            let rotation_noise = rotated_noise(&base_from_imu.matrix().tr_mul(&in_imu));
-            add_block(&mut squares, Self::MOUNT.start, &rotation_noise);
-            if let Some(slip) = slip {
-                let weight = slip.profile.weights(stamp, &Rotation::identity())[0];
-                add_block(&mut squares, slip.columns.start, &(rotation_noise * weight));
-            }
-            if link_state.moving {
-                squares[(Self::LATENCY, Self::LATENCY)] += link_state.rate_noise;
-                let since_s = stamp - self.link.middle_s;
-                squares[(Self::SKEW, Self::SKEW)] += link_state.rate_noise * since_s.powi(2);
+        let mut noise = DesignNoise::zeros(self.effects.width());
+        for (stamp_s, _, state) in self.states() {
+            let base_from_imu = state.rotation * self.mount_at(stamp_s);
+            let in_base = &state.rotation_noise;
+            noise.add_to_mount(&Self::MOUNT, &self.effects, stamp_s, &base_from_imu, in_base);
+            if state.moving {
+                let since_s = stamp_s - self.link.middle_s;
+                noise.squares[(Self::LATENCY, Self::LATENCY)] += state.rate_noise;
+                noise.squares[(Self::SKEW, Self::SKEW)] += state.rate_noise * since_s.powi(2);
             }
         }
-        let slip = slip.map(|slip| slip.columns.clone().collect());
-        let groups = [vec![Self::SKEW], vec![Self::LATENCY]].into_iter().chain(slip);
-        DesignNoise { squares, groups: groups.chain([Self::MOUNT.collect()]).collect() }
+        noise.groups = vec![vec![Self::SKEW], vec![Self::LATENCY]];
+        noise
+            .groups
+            .extend(self.effects.of(Block::Mount).map(|slip| slip.columns.clone().collect()));
+        noise.groups.push(Self::MOUNT.collect());
+        noise
     }
 
     fn apply(&mut self, delta: &DVector<f64>) {

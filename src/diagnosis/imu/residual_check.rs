@@ -1,12 +1,12 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
-use super::{ImuDiagnosis, ImuStream, Link, MAX_IMU_FIT_SAMPLES, MIN_CORRELATION, rms};
+use super::conventions::{Alignment, RatePair};
+use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
-use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::median;
 use ground::stream::{JointTrack, sample_noise};
-use nalgebra::Matrix3;
 
 const MIN_SAMPLES: usize = 50;
 
@@ -51,22 +51,9 @@ pub fn check_imu_residual(
     }
     let lag_s = diagnosis.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
     let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
-    let truth_s = |t_s: f64| t_s - lag_s - skew * (t_s - link.middle_s);
-    let t_s = &stream.track.t_s;
-    let mut buffers = link.buffers();
-    let stride = t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1);
-    let mut link_states: Vec<(usize, Rotation, Vec3)> = Vec::new();
-    for row in (0..t_s.len()).step_by(stride) {
-        if let Some(link_state) = link.at(truth_s(t_s[row]), &mut buffers)
-            && link_state.moving
-        {
-            link_states.push((
-                row,
-                link_state.rotation,
-                link_state.rotation.inverse() * link_state.rate,
-            ));
-        }
-    }
+    let delay = Delay { skew, ..link.delay(lag_s) };
+    let moving = link.states(link.rows(), delay).filter(|(_, state)| state.moving);
+    let link_states: Vec<(usize, LinkState)> = moving.collect();
     (link_states.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
         orientation: orientation_residual(stream, diagnosis, &link_states),
         gyro: gyro_residual(&link, &link_states),
@@ -78,7 +65,7 @@ pub fn check_imu_residual(
 fn orientation_residual(
     stream: &ImuStream,
     diagnosis: &ImuDiagnosis,
-    link_states: &[(usize, Rotation, Vec3)],
+    link_states: &[(usize, LinkState)],
 ) -> Option<FkError> {
     let encoding = diagnosis.encoding.as_ref().ok()?;
     let (track, link_from_imu) = (stream.track, diagnosis.link_from_imu?);
@@ -96,9 +83,9 @@ fn orientation_residual(
     };
     let worlds: Vec<Rotation> = link_states
         .iter()
-        .map(|(row, base_from_link, _)| {
+        .map(|(row, state)| {
             let link_from_imu = mount_at(track.t_s[*row]);
-            let world = track.orientation[*row] * (base_from_link * link_from_imu).inverse();
+            let world = track.orientation[*row] * (state.rotation * link_from_imu).inverse();
             rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
         })
         .collect();
@@ -108,7 +95,7 @@ fn orientation_residual(
     let t_s: Vec<f64> = link_states.iter().map(|(row, ..)| track.t_s[*row]).collect();
     let fk: Vec<Pose> = link_states
         .iter()
-        .map(|(_, rotation, _)| Pose::from_parts(Vec3::zeros().into(), *rotation))
+        .map(|(_, state)| Pose::from_parts(Vec3::zeros().into(), state.rotation))
         .collect();
     let nothing = vec![Vec3::zeros(); angle.len()];
     let moves = vec![true; angle.len()];
@@ -116,20 +103,16 @@ fn orientation_residual(
 }
 
 /// With the best-fitting mount. `None` if the gyro is always zero.
-fn gyro_residual(link: &Link, link_states: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
+fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
-    let in_range =
-        |link_state: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[link_state.0]);
-    let link_states: Vec<_> = link_states.iter().filter(in_range).collect();
-    let n = link_states.len().max(1) as f64;
-    let mean = link_states.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
-    let mean_rate = link_states.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
-    let pairs = || link_states.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
-    let correlation: Matrix3<f64> = pairs().map(|(gyro, rate)| rate * gyro.transpose()).sum();
-    let link_from_imu = rotation_by_wahba(&correlation);
+    let pairs = link_states.iter().map(|(row, state)| (*row, gyro[*row], state.body_rate()));
+    let pairs: Vec<RatePair> = pairs.filter(|(_, gyro, _)| !link.numbers.saturates(gyro)).collect();
+    let alignment = Alignment::fit(&pairs);
+    let Alignment { link_from_imu, bias, mean_rate } = &alignment;
     let (mut along, mut square) = (0.0, 0.0);
-    for (gyro, rate) in pairs() {
-        along += rate.dot(&(link_from_imu * gyro));
+    for (_, gyro, rate) in &pairs {
+        let rate = rate - mean_rate;
+        along += rate.dot(&(link_from_imu * (gyro - bias) - mean_rate));
         square += rate.norm_squared();
     }
     let noise = |axis: usize| {
@@ -139,14 +122,12 @@ fn gyro_residual(link: &Link, link_states: &[(usize, Rotation, Vec3)]) -> Option
     let has_rates = gyro.iter().any(|gyro| gyro.norm() > 0.0);
     (has_rates && square > 0.0).then(|| GyroResidual {
         scale: along / square,
-        residual: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
-        by_fk: (square / n).sqrt(),
+        residual: alignment.rms_residual(&pairs),
+        by_fk: (square / pairs.len() as f64).sqrt(),
         noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
     })
 }
 
 fn mean_gravity(accel: &[Vec3]) -> Option<f64> {
-    let mut sizes: Vec<f64> = accel.iter().map(Vec3::norm).collect();
-    sizes.sort_by(f64::total_cmp);
-    sizes.get(sizes.len() / 2).copied().filter(|size| *size > 0.0)
+    median(&mut accel.iter().map(Vec3::norm).collect::<Vec<f64>>()).filter(|size| *size > 0.0)
 }

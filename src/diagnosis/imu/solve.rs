@@ -7,7 +7,8 @@ use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::{MeasuredLength, joint_p_value};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix3};
+use std::ops::Range;
 
 /// Parametric model of one signal of an IMU.
 pub(super) trait Model: Clone {
@@ -57,6 +58,35 @@ pub(super) struct DesignNoise {
     pub squares: DMatrix<f64>,
     /// Columns of equal unit whose combinations are tested together, in the order of fixing.
     pub groups: Vec<Vec<usize>>,
+}
+
+impl DesignNoise {
+    pub fn zeros(width: usize) -> Self {
+        Self { squares: DMatrix::zeros(width, width), groups: Vec::new() }
+    }
+
+    /// Adds noise of the link's rotation (its covariance in base) to the columns of the mount and of its slip. Noise δ
+    /// contributes `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
+    pub fn add_to_mount(
+        &mut self,
+        mount: &Range<usize>,
+        effects: &Effects,
+        t_s: f64,
+        base_from_imu: &Rotation,
+        covariance: &Matrix3<f64>,
+    ) {
+        let base_from_imu = base_from_imu.to_rotation_matrix();
+        let in_imu = base_from_imu.matrix().tr_mul(&(covariance * base_from_imu.matrix()));
+        let noise = Matrix3::from_diagonal_element(in_imu.trace()) - in_imu;
+        let slip = effects
+            .of(Block::Mount)
+            .next()
+            .map(|slip| (slip.columns.start, slip.profile.weights(t_s, &Rotation::identity())[0]));
+        for (start, weight) in std::iter::once((mount.start, 1.0)).chain(slip) {
+            let mut block = self.squares.fixed_view_mut::<3, 3>(start, start);
+            block += noise * weight;
+        }
+    }
 }
 
 pub(super) struct Solved {

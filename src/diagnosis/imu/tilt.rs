@@ -15,13 +15,10 @@ impl Link<'_> {
     /// Constancy of the specific force's direction in the base, 0 to 1.
     pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
         let track = self.stream.track;
-        let mut buffers = self.buffers();
         let (mut sum, mut sizes) = (Vec3::zeros(), f64::MIN_POSITIVE);
-        for k in (0..track.t_s.len()).step_by(self.stride()) {
-            if let Some(link_state) = self.at(track.t_s[k] - lag_s, &mut buffers) {
-                sum += link_state.rotation * (link_from_accel * track.accel[k]);
-                sizes += track.accel[k].norm();
-            }
+        for (row, state) in self.states(self.rows(), self.delay(lag_s)) {
+            sum += state.rotation * (link_from_accel * track.accel[row]);
+            sizes += track.accel[row].norm();
         }
         sum.norm() / sizes
     }
@@ -32,7 +29,7 @@ impl Link<'_> {
         let mut buffers = self.buffers();
         let mut at_rest = |t_s: f64| self.at(t_s, &mut buffers).filter(|state| !state.moving);
         let (mut in_world, mut in_base) = (Vec::new(), Vec::new());
-        for k in (0..track.orientation.len()).step_by(self.stride()) {
+        for k in self.rows().filter(|_| !track.orientation.is_empty()) {
             let t_s = track.t_s[k] - lag_s;
             let around = [-REST_MARGIN_S, REST_MARGIN_S].map(|by_s| at_rest(t_s + by_s));
             if let ([Some(_), Some(_)], Some(link_state)) = (around, at_rest(t_s)) {
