@@ -181,13 +181,8 @@ impl Effects {
 
     /// `link_from_imu` at this time, from that at the start.
     pub fn mount_at(&self, link_from_imu: &Rotation, t_s: f64) -> Rotation {
-        match self.of(Block::Mount).next() {
-            Some(_) => {
-                let slip = self.sum(Block::Mount, t_s, &Rotation::identity());
-                link_from_imu * rotation_from_rotvec(slip)
-            }
-            None => *link_from_imu,
-        }
+        let slip = self.sum(Block::Mount, t_s, &Rotation::identity());
+        link_from_imu * rotation_from_rotvec(slip)
     }
 
     /// Slip of the mount.
@@ -282,6 +277,16 @@ pub(super) fn add_likeliest_effects<M: Model>(
     (model, solved)
 }
 
+/// Candidate for [`with_likeliest_effect`].
+enum Addition {
+    Effect(Block, Profile),
+    Walk(Walk),
+}
+
+fn step_at(test: &ModelExtension) -> Profile {
+    Profile::Step { at_s: test.at, interval_s: test.interval_s }
+}
+
 fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> Option<M> {
     let linearization = model.linearize();
     let t_s = &linearization.t_s;
@@ -299,61 +304,58 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
         _ => effects.of(block).next().is_none(),
     };
     let first_s = *t_s.first()?;
-    let mut best: Option<(f64, Option<M>)> = None;
-    let mut consider = |test: Option<ModelExtension>,
-                        extended: &dyn Fn(&ModelExtension) -> Option<M>| {
-        let least = best.as_ref().map_or(0.0, |best| best.0);
-        if let Some(test) = test.filter(|test| test.log_bayes_factor > least) {
-            best = Some((test.log_bayes_factor, extended(&test)));
-        }
-    };
+    let mut found: Vec<(f64, Addition)> = Vec::new();
     for &(block, shape) in candidates.iter().filter(is_free) {
         let (columns, size) = (model.columns_of(block), block.prior());
-        let with_on = |block: Block, profile: Profile| {
-            let mut extended = model.clone();
-            let parameters = model.columns_of(block).len();
-            extended.effects_mut().push(block, profile, parameters);
-            Some(extended)
+        let effect = |test: ModelExtension, profile| {
+            (test.log_bayes_factor, Addition::Effect(block, profile))
         };
-        let with = |profile: Profile| with_on(block, profile);
-        let step =
-            |test: &ModelExtension| Profile::Step { at_s: test.at, interval_s: test.interval_s };
         match shape {
-            // Only the yaw of the world is reported.
-            Shape::Step if block == Block::World => consider(tests.step(&columns, size), &|_| {
-                let yaw = tests.step(&model.columns_of(Block::Yaw), size)?;
-                let is_likelier = yaw.log_bayes_factor > 0.0;
-                is_likelier.then(|| with_on(Block::Yaw, step(&yaw))).flatten()
-            }),
-            Shape::Step => consider(tests.step(&columns, size), &|test| with(step(test))),
-            Shape::Decay => consider(tests.decay(&columns, size), &|test| {
-                with(Profile::Decay { first_s, time_constant_s: test.at })
-            }),
-            Shape::Heading => {
-                for axis in 0..3 {
-                    let profile = Profile::Heading { axis };
-                    let moments = t_s.iter().zip(&linearization.world_from_imu);
-                    let by_sample: Vec<Vec<f64>> =
-                        moments.map(|(t_s, rotation)| profile.weights(*t_s, rotation)).collect();
-                    let functions = (0..by_sample.first().map_or(0, Vec::len))
-                        .map(|function| by_sample.iter().map(|all| all[function]).collect())
-                        .collect::<Vec<Vec<f64>>>();
-                    consider(tests.best_extension(&columns, &functions, size), &|_| with(profile));
-                }
+            Shape::Step => {
+                let test = tests.step(&columns, size);
+                found.extend(test.map(|test| effect(test, step_at(&test))));
             }
-            Shape::Walk => {
-                if let Some(walk) = Walk::over(t_s) {
-                    consider(tests.walk(columns[0], &walk), &|test| {
-                        let mut extended = model.clone();
-                        extended.effects_mut().walk =
-                            Some(Walk { density: test.at, ..walk.clone() });
-                        Some(extended)
-                    });
-                }
+            Shape::Decay => {
+                let test = tests.decay(&columns, size);
+                let profile = |time_constant_s| Profile::Decay { first_s, time_constant_s };
+                found.extend(test.map(|test| effect(test, profile(test.at))));
             }
+            Shape::Heading => found.extend((0..3).filter_map(|axis| {
+                let profile = Profile::Heading { axis };
+                let moments = t_s.iter().zip(&linearization.world_from_imu);
+                let by_sample: Vec<Vec<f64>> =
+                    moments.map(|(t_s, rotation)| profile.weights(*t_s, rotation)).collect();
+                let functions = (0..by_sample.first().map_or(0, Vec::len))
+                    .map(|function| by_sample.iter().map(|all| all[function]).collect())
+                    .collect();
+                Some(effect(tests.best_extension(&columns, functions, size)?, profile))
+            })),
+            Shape::Walk => found.extend(Walk::over(t_s).and_then(|walk| {
+                let test = tests.walk(columns[0], &walk)?;
+                let walk = Walk { density: test.at, ..walk };
+                Some((test.log_bayes_factor, Addition::Walk(walk)))
+            })),
         }
     }
-    best?.1
+    let likelier = |best: (f64, Addition), next: (f64, Addition)| match next.0 > best.0 {
+        true => next,
+        false => best,
+    };
+    let (_, addition) = found.into_iter().filter(|one| one.0 > 0.0).reduce(likelier)?;
+    let mut extended = model.clone();
+    let mut push = |block: Block, profile: Profile| {
+        extended.effects_mut().push(block, profile, model.columns_of(block).len());
+    };
+    match addition {
+        // Only the yaw of the world is reported.
+        Addition::Effect(Block::World, _) => {
+            let yaw = tests.step(&model.columns_of(Block::Yaw), Block::World.prior())?;
+            (yaw.log_bayes_factor > 0.0).then(|| push(Block::Yaw, step_at(&yaw)))?;
+        }
+        Addition::Effect(block, profile) => push(block, profile),
+        Addition::Walk(walk) => extended.effects_mut().walk = Some(walk),
+    }
+    Some(extended)
 }
 
 #[cfg(test)]

@@ -62,6 +62,13 @@ struct BaseFit {
     squares: f64,
 }
 
+/// Additional columns: each of `columns`, scaled by every one of `weights` (one value per sample).
+struct Extension<'a> {
+    columns: &'a [usize],
+    weights: Vec<Vec<f64>>,
+    added: Added,
+}
+
 /// Products of additional columns.
 #[derive(Clone)]
 struct Added {
@@ -132,7 +139,7 @@ impl<'a> ExtensionTests<'a> {
             fit,
             variance: sigma.powi(2),
         };
-        let noise = tests.noise(&tests.fit.parameters, &[], &[], &[]);
+        let noise = tests.noise(&tests.fit.parameters, &tests.extension(&[], Vec::new()), &[]);
         tests.variance = noise.variance;
         tests.fit = BaseFit::new(&tests.normal, &tests.precision, noise.variance)?;
         Some(tests)
@@ -170,7 +177,7 @@ impl<'a> ExtensionTests<'a> {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
-        let (log_bayes_factor, variance) = self.compare(columns, &[weight], size)?;
+        let (log_bayes_factor, variance) = self.compare(columns, vec![weight], size)?;
         // 95 % likelihood region.
         let limit = at(best_s) + 3.84 * variance;
         let end = |sign: f64| {
@@ -207,7 +214,7 @@ impl<'a> ExtensionTests<'a> {
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
         let tau_s = best_candidate(finer, |tau_s| residual(tau_s, self.t_s.len()))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
-        let extension = self.best_extension(columns, &[weight], size)?;
+        let extension = self.best_extension(columns, vec![weight], size)?;
         Some(ModelExtension { at: tau_s, ..extension })
     }
 
@@ -216,7 +223,7 @@ impl<'a> ExtensionTests<'a> {
     pub fn best_extension(
         &self,
         columns: &[usize],
-        weights: &[Vec<f64>],
+        weights: Vec<Vec<f64>>,
         size: f64,
     ) -> Option<ModelExtension> {
         let (log_bayes_factor, _) = self.compare(columns, weights, size)?;
@@ -238,29 +245,30 @@ impl<'a> ExtensionTests<'a> {
         let join = |increments: &[Vec<f64>]| {
             (0..self.t_s.len()).map(|at| increments.iter().map(|one| one[at]).sum()).collect()
         };
-        let joined: Vec<Vec<f64>> = weights.chunks(JOINED_INCREMENTS).map(join).collect();
-        let added = self.sums(&[column], &weights);
+        let columns = [column];
+        let joined = weights.chunks(JOINED_INCREMENTS).map(join).collect();
+        let joined = self.extension(&columns, joined);
+        let whole = self.extension(&columns, weights);
+        let added = &whole.added;
         let likeliest = |noise: &IndependentNoise| {
             let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
-            let typical = noise.variance * weights.len() as f64 / added.own.trace();
+            let typical = noise.variance * walk.increments as f64 / added.own.trace();
             let cost = |variance: f64| {
-                noise.evidence(&fit, &added, variance).map_or(f64::INFINITY, |gain| -gain)
+                noise.evidence(&fit, added, variance).map_or(f64::INFINITY, |gain| -gain)
             };
             let coarse =
                 best_candidate(POWERS_OF_TWO.map(|power| typical * 2f64.powi(power)), cost)?;
             best_candidate((-4..=4).map(|k| coarse * 2f64.powf(0.25 * f64::from(k))), cost)
         };
-        let sums = self.sums(&[column], &joined);
-        let mut noise = self.noise_with(&self.fit, &[column], &joined, &sums, 0.0)?;
+        let mut noise = self.noise_with(&self.fit, &joined, 0.0)?;
         let mut variance = likeliest(&noise)?;
         // The density is a parameter as well.
-        let log_bayes_factor =
-            self.evidence(&[column], &weights, &added, variance, noise)? - price(noise.independent);
+        let log_bayes_factor = self.evidence(&whole, variance, noise)? - price(noise.independent);
         // The first noise contains the walk within the joined increments.
         for _ in 0..MAX_REFINEMENTS {
             let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
             let precision = noise.variance / variance;
-            noise = self.noise_with(&fit, &[column], &weights, &added, precision)?;
+            noise = self.noise_with(&fit, &whole, precision)?;
             let previous = std::mem::replace(&mut variance, likeliest(&noise)?);
             if variance <= previous {
                 break;
@@ -271,11 +279,10 @@ impl<'a> ExtensionTests<'a> {
     }
 
     /// Twice the log Bayes factor, and the variance of independent noise.
-    fn compare(&self, columns: &[usize], weights: &[Vec<f64>], size: f64) -> Option<(f64, f64)> {
-        let added = self.sums(columns, weights);
-        let precision = self.variance / size.powi(2);
-        let noise = self.noise_with(&self.fit, columns, weights, &added, precision)?;
-        let log_bayes_factor = self.evidence(columns, weights, &added, size.powi(2), noise)?;
+    fn compare(&self, columns: &[usize], weights: Vec<Vec<f64>>, size: f64) -> Option<(f64, f64)> {
+        let extension = self.extension(columns, weights);
+        let noise = self.noise_with(&self.fit, &extension, self.variance / size.powi(2))?;
+        let log_bayes_factor = self.evidence(&extension, size.powi(2), noise)?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
     }
 
@@ -283,20 +290,19 @@ impl<'a> ExtensionTests<'a> {
     /// that move it, but not to the others, explain nothing.
     fn evidence(
         &self,
-        columns: &[usize],
-        weights: &[Vec<f64>],
-        added: &Added,
+        extension: &Extension,
         variance: f64,
         noise: IndependentNoise,
     ) -> Option<f64> {
+        let added = &extension.added;
         let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
         let extended = fit.extend(added, noise.variance / variance)?;
         let base = &fit.parameters - fit.cholesky.solve(&(&added.with_base * &extended.parameters));
         let values = extended.parameters.as_slice();
         let (mut by_weights, mut by_outliers) = (0.0, 0.0);
         for (sample, weight) in self.robust_weights.iter().enumerate() {
-            let before = squares(&self.residual(sample, &fit.parameters, &[], &[], &[]));
-            let after = squares(&self.residual(sample, &base, columns, weights, values));
+            let before = squares(&self.residual(sample, &fit.parameters, extension, &[]));
+            let after = squares(&self.residual(sample, &base, extension, values));
             by_weights += weight * (before - after);
             by_outliers += before.min(self.outlier) - after.min(self.outlier);
         }
@@ -309,8 +315,7 @@ impl<'a> ExtensionTests<'a> {
         &self,
         sample: usize,
         base: &DVector<f64>,
-        columns: &[usize],
-        weights: &[Vec<f64>],
+        Extension { columns, weights, .. }: &Extension,
         added: &[f64],
     ) -> [f64; 3] {
         std::array::from_fn(|axis| {
@@ -329,35 +334,30 @@ impl<'a> ExtensionTests<'a> {
     fn noise_with(
         &self,
         fit: &BaseFit,
-        columns: &[usize],
-        weights: &[Vec<f64>],
-        added: &Added,
+        extension: &Extension,
         precision: f64,
     ) -> Option<IndependentNoise> {
+        let added = &extension.added;
         let extended = fit.extend(added, precision)?;
         let by_added = fit.cholesky.solve(&(&added.with_base * &extended.parameters));
         let base = &fit.parameters - by_added;
-        Some(self.noise(&base, columns, weights, extended.parameters.as_slice()))
+        Some(self.noise(&base, extension, extended.parameters.as_slice()))
     }
 
-    fn noise(
-        &self,
-        base: &DVector<f64>,
-        columns: &[usize],
-        weights: &[Vec<f64>],
-        added: &[f64],
-    ) -> IndependentNoise {
+    fn noise(&self, base: &DVector<f64>, extension: &Extension, added: &[f64]) -> IndependentNoise {
         /// Share of the columns' squares in a component that they change.
         const MIN_SHARE: f64 = 1e-3;
         let samples = 0..self.t_s.len();
         let squares = [0, 1, 2].map(|axis| -> f64 {
-            let of_sample =
-                |sample| columns.iter().map(move |&at| self.linear.row(sample, axis)[at].powi(2));
+            let of_sample = |sample| {
+                let row = self.linear.row(sample, axis);
+                extension.columns.iter().map(move |&at| row[at].powi(2))
+            };
             samples.clone().flat_map(of_sample).sum()
         });
         let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
         let changed = |sample: usize| {
-            let residual = self.residual(sample, base, columns, weights, added);
+            let residual = self.residual(sample, base, extension, added);
             [0, 1, 2].map(|axis| if is_changed[axis] { residual[axis] } else { 0.0 })
         };
         let residual: Vec<[f64; 3]> = samples.map(changed).collect();
@@ -369,13 +369,13 @@ impl<'a> ExtensionTests<'a> {
         IndependentNoise { variance: variance * inflation, independent }
     }
 
-    fn sums(&self, columns: &[usize], weights: &[Vec<f64>]) -> Added {
-        let mut sums = Added::zeros(self.base.len(), columns.len() * weights.len());
+    fn extension<'c>(&self, columns: &'c [usize], weights: Vec<Vec<f64>>) -> Extension<'c> {
+        let mut added = Added::zeros(self.base.len(), columns.len() * weights.len());
         for sample in 0..self.t_s.len() {
             let factors = weights.iter().map(|weight| weight[sample]);
-            self.add_sample(&mut sums, sample, columns, factors);
+            self.add_sample(&mut added, sample, columns, factors);
         }
-        sums
+        Extension { columns, weights, added }
     }
 
     /// Sums over the samples before each one. They give the residual for any weight function without another

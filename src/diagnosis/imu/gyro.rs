@@ -368,9 +368,9 @@ impl GyroModel<'_> {
         let tests = ExtensionTests::new(&linear, &t_s, &base, Self::MODEL_ERROR);
         let common = Self::COMMON_SCALE_ERROR..Self::COMMON_SCALE_ERROR + 1;
         let scored = [common, Self::SCALE_ERROR].into_iter().filter_map(|range| {
-            let (columns, whole): (Vec<usize>, _) =
-                (range.clone().collect(), [vec![1.0; t_s.len()]]);
-            let test = tests.as_ref()?.best_extension(&columns, &whole, GYRO_SCALE_PRIOR)?;
+            let columns: Vec<usize> = range.clone().collect();
+            let whole = vec![vec![1.0; t_s.len()]];
+            let test = tests.as_ref()?.best_extension(&columns, whole, GYRO_SCALE_PRIOR)?;
             Some((range, test.log_bayes_factor))
         });
         let mut likely: Vec<_> = scored.filter(|(_, factor)| *factor > 0.0).collect();
