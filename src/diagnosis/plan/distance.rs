@@ -65,18 +65,18 @@ impl Clearances {
     ) -> Self {
         let points = points(chain, free);
         let lengths: Vec<f64> = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
-        let mut pairs = Vec::new();
+        let mut keep =
+            Self { body, clear_m, floor_m, view, pairs: Vec::new(), heights: Vec::new() };
         for j in 2..lengths.len() {
             for i in 0..j - 1 {
                 let path: f64 = lengths[i + 1..j].iter().sum();
-                let thick = body.radius_m[i] + body.radius_m[j];
+                let thick = keep.body.radius_m[i] + keep.body.radius_m[j];
                 if path > 2.0 * thick + clear_m {
-                    let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-                    pairs.push((i, j, clear_m.min(apart - CONTACT_TOLERANCE_M)));
+                    let apart = keep.distance(&points, i, j);
+                    keep.pairs.push((i, j, clear_m.min(apart - CONTACT_TOLERANCE_M)));
                 }
             }
         }
-        let mut keep = Self { body, clear_m, floor_m, view, pairs, heights: Vec::new() };
         if let Some(floor_m) = floor_m {
             let height = |at: usize| keep.height(&points, at) - floor_m;
             keep.heights = (0..lengths.len())
@@ -84,6 +84,12 @@ impl Clearances {
                 .collect();
         }
         keep
+    }
+
+    /// Of two segments' surfaces, m.
+    fn distance(&self, points: &[Vec3], i: usize, j: usize) -> f64 {
+        between(&points[i..i + 2], &points[j..j + 2])
+            - (self.body.radius_m[i] + self.body.radius_m[j])
     }
 
     /// Lowest point, m; infinite for the fixed first segment.
@@ -94,42 +100,36 @@ impl Clearances {
         }
     }
 
+    /// Segment pairs, and segments above the floor, that are closer than `limit` of their minimum distance.
+    fn closer_than<'a>(
+        &'a self,
+        points: &'a [Vec3],
+        limit: impl Fn(f64) -> f64 + Copy + 'a,
+    ) -> impl Iterator<Item = ClearanceViolation> + 'a {
+        let pairs = self.pairs.iter().filter_map(move |&(i, j, least)| {
+            let apart = self.distance(points, i, j);
+            (apart < limit(least)).then_some(ClearanceViolation::Parts(i, j, apart))
+        });
+        let floor = self.heights.iter().enumerate().filter_map(move |(at, &least)| {
+            let height = self.height(points, at) - self.floor_m?;
+            (height < limit(least)).then_some(ClearanceViolation::Floor(at, height))
+        });
+        pairs.chain(floor)
+    }
+
     /// First violation at `q`.
     pub fn first_violation(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
-        let points = points(chain, q);
-        let parts = self.pairs.iter().find_map(|&(i, j, least)| {
-            let thick = self.body.radius_m[i] + self.body.radius_m[j];
-            let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-            (apart < least).then_some(ClearanceViolation::Parts(i, j, apart))
-        });
-        let floor = || {
-            let floor_m = self.floor_m?;
-            self.heights.iter().enumerate().find_map(|(at, &least)| {
-                let height = self.height(&points, at) - floor_m;
-                (height < least).then_some(ClearanceViolation::Floor(at, height))
-            })
-        };
         let view = || {
             let view = self.view?;
             let angle = view.angle(&chain.forward(q));
             (angle > view.half_rad).then_some(ClearanceViolation::View(angle))
         };
-        parts.or_else(floor).or_else(view)
+        self.closer_than(&points(chain, q), |least| least).next().or_else(view)
     }
 
     /// Segment pairs, and segments above the floor, closer than `clear_m` at `q`.
     pub fn close_pairs(&self, chain: &Chain, q: &[f64]) -> Vec<ClearanceViolation> {
-        let points = points(chain, q);
-        let pairs = self.pairs.iter().filter_map(|&(i, j, _)| {
-            let thick = self.body.radius_m[i] + self.body.radius_m[j];
-            let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-            (apart < self.clear_m).then_some(ClearanceViolation::Parts(i, j, apart))
-        });
-        let floor = (0..self.heights.len()).filter_map(|at| {
-            let height = self.height(&points, at) - self.floor_m?;
-            (height < self.clear_m).then_some(ClearanceViolation::Floor(at, height))
-        });
-        pairs.chain(floor).collect()
+        self.closer_than(&points(chain, q), |_| self.clear_m).collect()
     }
 
     /// Segment pairs checked.

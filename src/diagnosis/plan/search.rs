@@ -2,7 +2,7 @@
 
 use super::fourier::FourierMotion;
 use super::precision::{ExpectedPrecision, LinearizedMotion};
-use super::{ClearanceViolation, PlanRequirements};
+use super::{ClearanceViolation, JointMargins, PlanRequirements};
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 use rand::{RngExt, SeedableRng};
@@ -75,12 +75,10 @@ pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
 /// # Errors
 /// If no motion satisfies the limits.
 pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
-    let margins = |margins: &super::JointMargins| margins.above.min(margins.below);
-    if !requirements
-        .margins
-        .iter()
-        .any(|it| margins(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0)
-    {
+    let can_move = |&JointMargins { below, above, velocity, acceleration }: &JointMargins| {
+        [below, above, velocity, acceleration].into_iter().all(|margin| margin > 0.0)
+    };
+    if !requirements.margins.iter().any(can_move) {
         return Err(Infeasible::NoMargin);
     }
     let rest_s = REST_S.min(MAX_REST_SHARE * requirements.seconds);
@@ -91,9 +89,9 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
     let mut last = None;
     for share in MARGIN_SHARES {
         let mut random = Pcg64::seed_from_u64(requirements.seed);
-        let drawn = (0..INITIAL_MOTIONS).map(|_| search.random_motion(&mut random, share));
         let mut draws: Vec<(f64, FourierMotion)> = Vec::new();
-        for series in drawn {
+        for _ in 0..INITIAL_MOTIONS {
+            let series = search.random_motion(&mut random, share);
             match search.first_violation(&series, SEARCH_CLEARANCE_HZ) {
                 None => draws.push((search.score(&series), series)),
                 offence => last = offence,
@@ -109,15 +107,8 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
             continue;
         }
         let promises = |motion: &JointTrack| {
-            let linearized = LinearizedMotion::new(
-                requirements.chain,
-                motion,
-                requirements.purpose,
-                &requirements.sensing,
-            );
-            linearized.map_or_else(Vec::new, |linearized| {
-                linearized.expected_precisions(requirements.chain)
-            })
+            let linearized = search.linearized(motion);
+            linearized.map_or_else(Vec::new, |it| it.expected_precisions(requirements.chain))
         };
         return Ok(MotionPlan {
             precision: promises(&series.track(2 * EVALUATION_ROWS)),
@@ -165,15 +156,14 @@ impl MotionSearch<'_> {
         })
     }
 
+    fn linearized<'m>(&'m self, motion: &'m JointTrack) -> Option<LinearizedMotion<'m>> {
+        let PlanRequirements { chain, purpose, sensing, .. } = self.requirements;
+        LinearizedMotion::new(chain, motion, *purpose, sensing)
+    }
+
     fn score(&self, series: &FourierMotion) -> f64 {
         let track = series.track(EVALUATION_ROWS);
-        let linearized = LinearizedMotion::new(
-            self.requirements.chain,
-            &track,
-            self.requirements.purpose,
-            &self.requirements.sensing,
-        );
-        linearized.map_or(f64::INFINITY, |linearized| linearized.score())
+        self.linearized(&track).map_or(f64::INFINITY, |linearized| linearized.score())
     }
 
     /// (1+1) evolution strategy, one joint at a time. The step size adapts to the success rate (Rechenberg,
