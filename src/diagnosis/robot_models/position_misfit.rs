@@ -3,8 +3,10 @@
 use crate::PoseStream;
 use crate::frames::position_fit::FkColumns;
 use crate::samples::sampling::{as_rotations, slow_samples};
-use ground::geometry::Vec3;
+use ground::geometry::{Pose, Vec3};
 use ground::stream::JointTrack;
+
+pub(super) const MIN_SAMPLES: usize = 12;
 
 /// Rms distance of `stream` from FK after fitting a tool offset and a reference frame, m. `None` if the
 /// joint states cover too few samples.
@@ -34,18 +36,40 @@ fn misfits_m(
     scale: f64,
     latency_s: f64,
 ) -> Option<(f64, f64)> {
-    const MIN_SAMPLES: usize = 12;
-    let PoseStream { track, chain, columns, .. } = *stream;
-    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, latency_s);
-    if rows.len() < MIN_SAMPLES {
-        return None;
-    }
+    let SlowPositions { xyz, inverse_xyz, fk, .. } =
+        SlowPositions::new(joints, stream, scale, latency_s)?;
     let expected = FkColumns::from_poses(&fk);
-    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
-    let as_logged = expected.misfit(&xyz);
-    let Some(rotations) = as_rotations(&track.orientation) else {
-        return Some((as_logged, f64::INFINITY));
-    };
-    let inverted = rows.iter().zip(&xyz).map(|(&row, p)| -(rotations[row].inverse() * p));
-    Some((as_logged, expected.misfit(&inverted.collect::<Vec<_>>())))
+    let inverted = inverse_xyz.map_or(f64::INFINITY, |xyz| expected.misfit(&xyz));
+    Some((expected.misfit(&xyz), inverted))
+}
+
+/// Positions of a stream while the arm moves slowly, with FK.
+#[derive(Clone)]
+pub(super) struct SlowPositions {
+    pub t_s: Vec<f64>,
+    /// In m.
+    pub xyz: Vec<Vec3>,
+    /// Positions of the inverse poses. `None` without rotations.
+    pub inverse_xyz: Option<Vec<Vec3>>,
+    pub fk: Vec<Pose>,
+}
+
+impl SlowPositions {
+    /// `None` if the joint states cover too few samples.
+    pub fn new(
+        joints: &JointTrack,
+        stream: &PoseStream,
+        scale: f64,
+        latency_s: f64,
+    ) -> Option<Self> {
+        let PoseStream { track, chain, columns, .. } = *stream;
+        let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, latency_s);
+        let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
+        let inverse_xyz = as_rotations(&track.orientation).map(|all| {
+            let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
+            inverse.collect()
+        });
+        let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
+        (rows.len() >= MIN_SAMPLES).then_some(Self { t_s, xyz, inverse_xyz, fk })
+    }
 }

@@ -5,6 +5,7 @@
 //! Each hypothesis is a least-squares fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency
 //! on a few dozen slow samples. No rotation encoding matters.
 
+use super::position_misfit::{MIN_SAMPLES, SlowPositions};
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
 use crate::frames::position_fit::FkColumns;
@@ -12,13 +13,11 @@ use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
-use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 
-const MIN_SAMPLES: usize = 12;
 /// If all residuals are larger, inverted poses and joints in degrees are tried.
 const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
 
@@ -260,11 +259,7 @@ struct StreamWithFk<'a> {
     stream: PoseStream<'a>,
     lag_s: f64,
     max_lag_s: f64,
-    t_s: Vec<f64>,
-    xyz: Vec<Vec3>,
-    /// `None` without rotations.
-    inverse_xyz: Option<Vec<Vec3>>,
-    fk: Vec<Pose>,
+    samples: SlowPositions,
     in_degrees: bool,
 }
 
@@ -283,25 +278,8 @@ impl<'a> StreamWithFk<'a> {
         scale: f64,
         (lag_s, max_lag_s): (f64, f64),
     ) -> Option<Self> {
-        let PoseStream { track, chain, columns, .. } = *stream;
-        let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
-        let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
-        let inverse_xyz = as_rotations(&track.orientation).map(|all| {
-            let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));
-            inverse.collect()
-        });
-        let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
-        (rows.len() >= MIN_SAMPLES).then_some(Self {
-            joints,
-            stream: *stream,
-            lag_s,
-            max_lag_s,
-            t_s,
-            xyz,
-            inverse_xyz,
-            fk,
-            in_degrees: false,
-        })
+        let samples = SlowPositions::new(joints, stream, scale, lag_s)?;
+        Some(Self { joints, stream: *stream, lag_s, max_lag_s, samples, in_degrees: false })
     }
 
     fn fit(&self) -> ModelFit {
@@ -317,8 +295,8 @@ impl<'a> StreamWithFk<'a> {
         let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
         let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
-            samples: self.t_s.len(),
-            spread_m: crate::frames::position_fit::spread(&self.xyz),
+            samples: self.samples.t_s.len(),
+            spread_m: crate::frames::position_fit::spread(&self.samples.xyz),
             as_is_m: unfitted.0,
             fits,
         }
@@ -349,14 +327,16 @@ impl<'a> StreamWithFk<'a> {
             let fits = ASSUMPTIONS.into_iter().flat_map(|it| stream_with_fk.fits_under(it));
             fits.map(|fit| HypothesisFit { is_misinterpreted: true, ..fit }).collect::<Vec<_>>()
         };
-        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..self.clone() }));
+        let inverted = self.samples.inverse_xyz.clone().map(|xyz| {
+            of(StreamWithFk { samples: SlowPositions { xyz, ..self.samples.clone() }, ..*self })
+        });
         let mut in_radians = StreamWithFk { in_degrees: true, ..self.clone() };
-        in_radians.fk = in_radians.poses();
+        in_radians.samples.fk = in_radians.poses();
         inverted.into_iter().flatten().chain(of(in_radians)).collect()
     }
 
     fn poses(&self) -> Vec<Pose> {
-        let mut poses = Vec::with_capacity(self.t_s.len());
+        let mut poses = Vec::with_capacity(self.samples.t_s.len());
         self.predict(&self.initial_parameters(), |jacobian, _, _| poses.push(jacobian.pose));
         poses
     }
@@ -400,7 +380,8 @@ impl<'a> StreamWithFk<'a> {
         if !is_reference_free {
             return vec![self.initial_parameters()];
         }
-        let (rigid, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
+        let (rigid, _) =
+            FkColumns::from_poses(&self.samples.fk).fit_rigid_or_collinear(&self.samples.xyz);
         let frames = [Pose::identity(), half_turn(), rigid];
         frames.map(|reference| self.with_reference(reference)).to_vec()
     }
@@ -463,7 +444,7 @@ impl<'a> StreamWithFk<'a> {
         let Some((_, fitted)) = minimize(&hypothesis, parameters.clone(), LIMITS) else {
             return (f64::INFINITY, parameters);
         };
-        let mut squares = Vec::with_capacity(self.t_s.len());
+        let mut squares = Vec::with_capacity(self.samples.t_s.len());
         self.predict(&fitted, |jacobian, _, logged| {
             squares.push((logged - jacobian.pose.translation.vector).norm_squared());
         });
@@ -482,7 +463,7 @@ impl<'a> StreamWithFk<'a> {
         let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
         let mut link_columns = vec![[0.0; 6]; chain.dof()];
         let tool = pose(parameters.tool.into(), Rotation::identity());
-        for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
+        for (&t_s, logged) in self.samples.t_s.iter().zip(&self.samples.xyz) {
             let truth_s = t_s - parameters.lag_s;
             if !self.joints.at(truth_s, &mut cursor, &mut track_q, &mut track_qd) {
                 continue;
@@ -528,7 +509,7 @@ impl LeastSquares for Hypothesis<'_> {
             normal.add_pose(&derivatives, [position, Vec3::zeros()], [1.0, 0.0]);
             samples += 1;
         });
-        let min_covered = (MIN_COVERED_SHARE * self.stream.t_s.len() as f64) as usize;
+        let min_covered = (MIN_COVERED_SHARE * self.stream.samples.t_s.len() as f64) as usize;
         if samples < MIN_SAMPLES.max(min_covered) {
             return None;
         }
