@@ -19,7 +19,11 @@ const CONVERGED_SIGMAS: f64 = 1e-3;
 /// Steps of the nominal fit of free positions.
 const START_ROUNDS: usize = 3;
 
-pub(super) fn fit(
+/// Calibrates `robot`. The chain's joints `zeros` have free zeros; `distances` are known.
+///
+/// # Errors
+/// If the chain or the samples do not permit a calibration.
+pub fn calibrate_arm(
     robot: &Robot,
     streams: &[CalibrationStream],
     zeros: &[usize],

@@ -15,6 +15,7 @@ mod tests;
 mod undetermined;
 pub(crate) mod workspace;
 
+pub use self::fit::calibrate_arm;
 pub use self::fixed_point::FixedPoint;
 use crate::Measured;
 use ground::geometry::Pose;
@@ -228,17 +229,4 @@ impl ArmCalibration {
             variance.max(0.0).sqrt()
         })
     }
-}
-
-/// Calibrates `robot`. The chain's joints `zeros` have free zeros; `distances` are known.
-///
-/// # Errors
-/// If the chain or the samples do not permit a calibration.
-pub fn calibrate_arm(
-    robot: &Robot,
-    streams: &[CalibrationStream],
-    zeros: &[usize],
-    distances: &[PointDistance],
-) -> Result<ArmCalibration, CalibrationFailure> {
-    fit::fit(robot, streams, zeros, distances)
 }
