@@ -3,6 +3,7 @@
 use super::fit::HandEyeFit;
 use super::series::HandEyeSetting;
 use super::{ClosureError, MIN_POSES};
+use crate::residuals::excess::{excess_square, mean_of, rms};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 use ground::stats::median;
@@ -48,31 +49,17 @@ pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Optio
     })
 }
 
-fn rms(vectors: &[Vec3]) -> f64 {
-    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
-}
-
 /// Rms in excess of the sample-to-sample noise (half the mean squared successive difference, von Neumann
 /// 1941). The standard error comes from the spread over blocks.
 fn excess(vectors: &[Vec3]) -> Measured {
-    let size = (vectors.len() / BLOCKS).max(3);
-    let beyond: Vec<f64> = vectors
-        .chunks(size)
-        .filter(|block| block.len() >= 3)
-        .map(|block| {
-            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
-            rms(block).powi(2) - 0.5 * rms(&steps).powi(2)
-        })
-        .collect();
-    let n = beyond.len() as f64;
-    if n < 2.0 {
+    let blocks = vectors.chunks((vectors.len() / BLOCKS).max(3)).filter(|block| block.len() >= 3);
+    let beyond: Vec<f64> = blocks.map(excess_square).collect();
+    if beyond.len() < 2 {
         return Measured { value: rms(vectors), std_error: f64::INFINITY, dof: 1.0 };
     }
-    let mean = beyond.iter().sum::<f64>() / n;
-    let spread = beyond.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    let mean_error = (spread / n).sqrt();
+    let Measured { value: mean, std_error: mean_error, dof } = mean_of(&beyond);
     let value = mean.max(0.0).sqrt();
     // d(√x) = dx / 2√x, bounded by √dx near zero.
     let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt()).max(1e-12)).max(1e-9);
-    Measured { value, std_error, dof: n - 1.0 }
+    Measured { value, std_error, dof }
 }

@@ -51,7 +51,7 @@ pub(crate) fn excess_residual(
     })
 }
 
-fn rms(vectors: &[Vec3]) -> f64 {
+pub(crate) fn rms(vectors: &[Vec3]) -> f64 {
     (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
 }
 
@@ -61,14 +61,7 @@ fn rms(vectors: &[Vec3]) -> f64 {
 fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
-    let noise_free: Vec<f64> = vectors
-        .chunks_exact(size)
-        .map(|block| {
-            let square = rms(block).powi(2);
-            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
-            square - 0.5 * rms(&steps).powi(2)
-        })
-        .collect();
+    let noise_free: Vec<f64> = vectors.chunks_exact(size).map(excess_square).collect();
     let Measured { value: mean, std_error: mean_error, .. } = mean_of(&noise_free);
     let value = mean.max(0.0).sqrt();
     // d(√x) = dx / 2√x, limited to √dx near zero.
@@ -81,8 +74,14 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     }
 }
 
+/// Mean square beyond the noise between samples.
+pub(crate) fn excess_square(block: &[Vec3]) -> f64 {
+    let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
+    rms(block).powi(2) - 0.5 * rms(&steps).powi(2)
+}
+
 /// The standard error is infinite for fewer than two values.
-fn mean_of(values: &[f64]) -> Measured {
+pub(crate) fn mean_of(values: &[f64]) -> Measured {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n.max(1.0);
     let spread =
