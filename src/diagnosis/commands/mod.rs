@@ -129,31 +129,25 @@ pub fn diagnose_commands(
     max_lag_s: f64,
 ) -> EstimateResult<CommandDiagnosis> {
     let series = &commands.series;
-    let Some(end_s) = arm.joints.span().map(|(_, end_s)| end_s) else {
-        return Err(NotObservable::NoOverlap);
-    };
+    let (_, end_s) = arm.joints.span().ok_or(NotObservable::NoOverlap)?;
     if series.t_s.first().is_none_or(|&first_s| first_s > end_s) {
         return Err(NotObservable::NoOverlap);
     }
     let is_streamed = is_streamed(&series.t_s);
-    let following = if is_streamed { command_tracking(series, arm, max_lag_s) } else { None };
+    let tracking = match is_streamed {
+        true => command_tracking(series, arm, max_lag_s),
+        false => None,
+    };
     let rests = detect_rests(arm.joints);
     if rests.is_empty() {
         return Err(NotObservable::NeverRests);
     }
     let constant_commands = constant_commands(series, is_streamed, end_s);
-    let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
-    let noises = measured_poses
-        .iter()
-        .map(|series| MeasuredPoses { series, noise: pose_noise(series, &rests) });
-    let measured_poses: Vec<MeasuredPoses<'_>> = noises.collect();
-    let pairs: Vec<Vec<(f64, f64)>> = constant_commands
-        .iter()
-        .map(|command| rest_windows(command, &rests, is_streamed, following.is_some(), delay_s))
-        .collect();
+    let with_noise = |series| MeasuredPoses { series, noise: pose_noise(series, &rests) };
+    let measured_poses: Vec<MeasuredPoses<'_>> = measured_poses.iter().map(with_noise).collect();
     let mut diagnosis = CommandDiagnosis {
         is_streamed,
-        tracking: following,
+        tracking,
         goals: constant_commands
             .iter()
             .filter(|command| command.to_s - command.from_s >= rest::MIN_REST_S)
@@ -163,29 +157,24 @@ pub fn diagnose_commands(
         rest_errors: vec![Vec::new(); measured_poses.len()],
         lines: Vec::new(),
     };
-    let rest_errors_of =
-        |command: &ConstantCommand, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
-            measured_poses
-                .iter()
-                .map(|one| rest_error(commands, arm, command, (from_s, to_s), one))
-                .collect()
-        };
+    let by_error = |a: &Vec<Option<RestError>>, b: &Vec<Option<RestError>>| {
+        smallest_error(a).total_cmp(&smallest_error(b))
+    };
     let mut unreached: Vec<Vec<Option<RestError>>> = Vec::new();
     let mut reached: Vec<Vec<Option<RestError>>> = Vec::new();
-    for (command, windows) in constant_commands.iter().zip(&pairs) {
-        let at_rests = windows.iter().map(|window| rest_errors_of(command, window));
-        let mut at_rests: Vec<_> =
-            at_rests.filter(|rest_errors| rest_errors.iter().any(Option::is_some)).collect();
-        if diagnosis.tracking.is_some() {
-            reached.append(&mut at_rests);
-            continue;
-        }
-        let best =
-            at_rests.into_iter().min_by(|a, b| smallest_error(a).total_cmp(&smallest_error(b)));
-        match best {
-            Some(rest_errors) if is_near(&rest_errors) => reached.push(rest_errors),
-            Some(rest_errors) => unreached.push(rest_errors),
-            None => {}
+    for command in &constant_commands {
+        let windows = rest_windows(command, &rests, is_streamed, tracking).into_iter();
+        let rest_errors = windows.map(|window| -> Vec<Option<RestError>> {
+            let poses = measured_poses.iter();
+            poses.map(|one| rest_error(commands, arm, command, window, one)).collect()
+        });
+        let at_rests = rest_errors.filter(|errors| errors.iter().any(Option::is_some));
+        if tracking.is_some() {
+            reached.extend(at_rests);
+        } else if let Some(nearest) = at_rests.min_by(by_error) {
+            // A rest farther from the goal was not its target: the arm stopped early or was moved by other means.
+            let is_near = smallest_error(&nearest) <= 1.0;
+            if is_near { reached.push(nearest) } else { unreached.push(nearest) }
         }
     }
     let missed = |rest_errors: &Vec<Option<RestError>>| {
@@ -195,10 +184,7 @@ pub fn diagnose_commands(
             .min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
         Some((nearest.distance_m.norm.value, nearest.angle_rad.norm.value))
     };
-    diagnosis.nearest_miss = unreached
-        .iter()
-        .min_by(|a, b| smallest_error(a).total_cmp(&smallest_error(b)))
-        .and_then(missed);
+    diagnosis.nearest_miss = unreached.iter().min_by(|a, b| by_error(a, b)).and_then(missed);
     if (0..measured_poses.len()).any(|stream| is_constant_transform(&unreached, stream)) {
         reached.append(&mut unreached);
     }
@@ -208,7 +194,7 @@ pub fn diagnose_commands(
             all.extend(rest_error.take());
         }
     }
-    if diagnosis.tracking.is_none() {
+    if tracking.is_none() {
         diagnosis.not_reached = diagnosis.goals.saturating_sub(reached.len());
     }
     if is_streamed && commands.joints.is_empty() {
@@ -222,16 +208,16 @@ fn rest_windows(
     command: &ConstantCommand,
     rests: &[Rest],
     is_streamed: bool,
-    follows: bool,
-    delay_s: f64,
+    tracking: Option<CommandTracking>,
 ) -> Vec<(f64, f64)> {
     /// After the command stops; twice the delay is added.
     const SETTLING_S: f64 = 0.1;
     /// At the end of a long rest.
     const MAX_REST_S: f64 = 1.0;
+    let delay_s = tracking.map_or(0.0, |tracking| tracking.delay_s.max(0.0));
     let is_led = |rest: &&Rest| {
         // With no command before it, the arm is holding a constant stream.
-        follows || rest.from_s > command.from_s || is_streamed && command.first == 0
+        tracking.is_some() || rest.from_s > command.from_s || is_streamed && command.first == 0
     };
     let window = |rest: &Rest| {
         let from_s = rest.from_s.max(command.from_s + SETTLING_S + 2.0 * delay_s);
@@ -243,7 +229,7 @@ fn rest_windows(
     rests.iter().filter(is_led).filter_map(window).collect()
 }
 
-/// A rest farther from the goal was not its target: the arm stopped early or was moved by other means.
+/// Of a rest from its goal.
 const MAX_GOAL_DISTANCE_M: f64 = 0.02;
 const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
@@ -256,10 +242,6 @@ fn relative_error(rest_error: &RestError) -> f64 {
 /// Smallest among the observations.
 fn smallest_error(rest_errors: &[Option<RestError>]) -> f64 {
     rest_errors.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
-}
-
-fn is_near(rest_errors: &[Option<RestError>]) -> bool {
-    smallest_error(rest_errors) <= 1.0
 }
 
 fn start_s(rest_errors: &[Option<RestError>]) -> f64 {
