@@ -62,7 +62,7 @@ pub struct CalibrationStream<'a> {
 
 /// Estimated part of a frame. Streams whose frames have the same number share one frame, with the same initial
 /// value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum FrameFreedom {
     /// Known.
     Known,

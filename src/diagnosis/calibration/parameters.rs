@@ -9,6 +9,7 @@ use super::{CalibrationStream, FrameFreedom, LinkParameter};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath};
 use nalgebra::{DMatrix, DVector};
+use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::priors::FREE_PRIOR;
@@ -34,24 +35,6 @@ pub(super) struct StreamParameters {
     pub reference: Range<usize>,
     pub tool: Range<usize>,
     pub latency: Option<usize>,
-}
-
-/// Assigns parameters to frames; streams can share them.
-struct FrameAllocation {
-    next: usize,
-    frames: Vec<(FrameFreedom, Range<usize>)>,
-}
-
-impl FrameAllocation {
-    fn range(&mut self, frame: FrameFreedom) -> Range<usize> {
-        if let Some((_, range)) = self.frames.iter().find(|(known, _)| *known == frame) {
-            return range.clone();
-        }
-        let range = self.next..self.next + frame.width();
-        self.next = range.end;
-        self.frames.push((frame, range.clone()));
-        range
-    }
 }
 
 impl CalibrationParameters {
@@ -97,17 +80,21 @@ impl CalibrationParameters {
                 }
             }
         }
-        let [mut references, mut own_tools] =
-            [(); 2].map(|()| FrameAllocation { next: 0, frames: Vec::new() });
         let mut next = links.len() + zeros.len();
+        let mut allocate = |width: usize| {
+            next += width;
+            next - width..next
+        };
+        // Streams can share references and tools.
+        let [mut references, mut own_tools] = [(); 2].map(|()| HashMap::new());
         let mut own = Vec::with_capacity(streams.len());
         for (stream, tool) in streams.iter().zip(tools) {
-            references.next = next;
-            let reference = references.range(stream.reference_freedom);
-            own_tools.next = references.next;
-            let tool = own_tools.range(tool);
-            next = own_tools.next + usize::from(stream.latency_is_free);
-            let latency = stream.latency_is_free.then(|| next - 1);
+            let mut range = |frames: &mut HashMap<FrameFreedom, Range<usize>>, frame| {
+                frames.entry(frame).or_insert_with(|| allocate(frame.width())).clone()
+            };
+            let reference = range(&mut references, stream.reference_freedom);
+            let tool = range(&mut own_tools, tool);
+            let latency = stream.latency_is_free.then(|| allocate(1).start);
             own.push(StreamParameters { reference, tool, latency });
         }
         let base_from_first = paths.iter().map(|path| path.base_from_first).collect();
