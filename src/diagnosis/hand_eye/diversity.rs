@@ -3,6 +3,7 @@
 use super::RotationDiversity;
 use super::series::HandEyeSetting;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
+use ground::stats::quantile;
 use nalgebra::Matrix3;
 
 /// Compared in pairs.
@@ -31,8 +32,7 @@ pub(super) fn rotation_diversity(setting: &HandEyeSetting, lag_s: f64) -> Rotati
         .filter_map(|turn| turn.try_normalize(1e-12))
         .map(|turn| turn.dot(&axis).abs().min(1.0).acos())
         .collect();
-    leans.sort_by(f64::total_cmp);
-    let spread_rad = leans.get(leans.len() * 19 / 20).copied().unwrap_or_default();
+    let spread_rad = quantile(&mut leans, 0.95).unwrap_or_default();
     // The mean squared difference of two orientations is twice their variance.
     let squares: f64 = turns.iter().map(Vec3::norm_squared).sum();
     let turning_rad = (0.5 * squares / turns.len().max(1) as f64).sqrt();

@@ -116,8 +116,9 @@ pub(super) fn diagnose_converted_imu(
         gyro_bias: gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.bias.clone()),
         ..ImuDiagnosis::not_observable(orientation.as_ref().err().unwrap_or(&NotObservable::AtRest))
     };
-    match (orientation, gyro) {
-        (Ok(fit), _) => ImuDiagnosis {
+    let by_gyro = gyro.as_ref().ok().filter(|_| moves);
+    match orientation {
+        Ok(fit) => ImuDiagnosis {
             encoding: Ok(fit.encoding),
             yaw_drift_rad_s: fit.drift_rad_s,
             yaw_profile: fit.yaw_profile,
@@ -130,19 +131,15 @@ pub(super) fn diagnose_converted_imu(
             headings: fit.headings,
             ..common
         },
-        (Err(why), Ok(gyro)) => ImuDiagnosis {
+        Err(why) => ImuDiagnosis {
+            link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
+            mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
             mount_rad: match why {
-                NotObservable::NoOrientation => gyro.mount_rad,
+                NotObservable::NoOrientation => gyro.and_then(|gyro| gyro.mount_rad),
                 _ => Err(why),
             },
-            link_from_imu: Some(gyro.link_from_imu).filter(|_| moves),
-            mount_change: gyro.mount_change.filter(|_| moves),
             ..common
         },
-        (Err(NotObservable::NoOrientation), Err(why)) => {
-            ImuDiagnosis { mount_rad: Err(why), ..common }
-        }
-        (Err(_), Err(_)) => common,
     }
 }
 
