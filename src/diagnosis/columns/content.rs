@@ -253,13 +253,16 @@ impl NumericTable {
     }
 }
 
-/// Without its mean, and of unit length; zero if it is constant.
+/// Without its mean, and of unit length; zero if it is constant or not finite.
 fn normalized(mut series: Vec<f64>) -> Vec<f64> {
     let mean = series.iter().sum::<f64>() / series.len().max(1) as f64;
     series.iter_mut().for_each(|value| *value -= mean);
     let length = series.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let scale = if length > 0.0 { 1.0 / length } else { 0.0 };
-    series.iter_mut().for_each(|value| *value *= scale);
+    if length > 0.0 {
+        series.iter_mut().for_each(|value| *value /= length);
+    } else {
+        series.fill(0.0);
+    }
     series
 }
 
