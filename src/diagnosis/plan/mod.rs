@@ -16,13 +16,12 @@ mod tests;
 
 use ground::geometry::Pose;
 use ground::robot::Chain;
-use ground::stream::JointTrack;
 
 pub use distance::{ArmCapsules, ClearanceViolation, Clearances, TargetVisibility};
 pub use fourier::FourierMotion;
 pub use limits::{JointRange, LimitKind, LimitViolation, joint_ranges, limit_violations};
-pub use precision::{ExpectedPrecision, PlannedQuantity, expected_precisions, geometric_mean};
-pub use search::{Infeasible, MotionPlan, plan, sample_motion};
+pub use precision::{ExpectedPrecision, PlannedQuantity, geometric_mean};
+pub use search::{Infeasible, MotionPlan, expected_precision, plan};
 
 /// Quantity to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,14 +111,4 @@ pub struct PlanRequirements<'a> {
     pub clearances: &'a Clearances,
     /// Random seed.
     pub seed: u64,
-}
-
-/// Expected precision of a motion.
-pub fn expected_precision(
-    chain: &Chain,
-    motion: &JointTrack,
-    purpose: Purpose,
-    sensing: &Sensing,
-) -> Option<Vec<ExpectedPrecision>> {
-    expected_precisions(chain, &sample_motion(motion, chain)?, purpose, sensing)
 }

@@ -361,16 +361,6 @@ impl<'a> LinearizedMotion<'a> {
 const YAW_PARAMETER: usize = 5;
 const TILT_PARAMETER: usize = 3;
 
-/// `None` if the motion is unknown between its rows.
-pub fn expected_precisions(
-    chain: &Chain,
-    motion: &JointTrack,
-    purpose: Purpose,
-    sensing: &Sensing,
-) -> Option<Vec<ExpectedPrecision>> {
-    Some(LinearizedMotion::new(chain, motion, purpose, sensing)?.expected_precisions(chain))
-}
-
 /// Mean of `one / other` over the quantities that both determine.
 pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) -> Option<f64> {
     let both = one.iter().zip(other).map(|(one, other)| (one.half_width / other.half_width).ln());

@@ -2,7 +2,7 @@
 
 use super::fourier::FourierMotion;
 use super::precision::{ExpectedPrecision, LinearizedMotion};
-use super::{ClearanceViolation, JointMargins, PlanRequirements};
+use super::{ClearanceViolation, JointMargins, PlanRequirements, Purpose, Sensing};
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 use rand::{RngExt, SeedableRng};
@@ -52,8 +52,19 @@ pub enum Infeasible {
     NothingObservable,
 }
 
+/// Expected precision of a motion. `None` if its rows are more than 2 s apart during motion.
+pub fn expected_precision(
+    chain: &Chain,
+    motion: &JointTrack,
+    purpose: Purpose,
+    sensing: &Sensing,
+) -> Option<Vec<ExpectedPrecision>> {
+    let sampled = sample_motion(motion, chain)?;
+    Some(LinearizedMotion::new(chain, &sampled, purpose, sensing)?.expected_precisions(chain))
+}
+
 /// Samples evaluation rows. `None` if these are more than 2 s apart during motion.
-pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
+fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
     let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
     let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);

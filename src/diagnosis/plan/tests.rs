@@ -3,7 +3,7 @@ use super::*;
 use crate::{PoseStream, diagnose_arm};
 use ground::geometry::{Vec3, rotation_from_rotvec};
 use ground::robot::{JointKind, Robot, catalogue};
-use ground::stream::{Orientations, PoseTrack};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
