@@ -266,7 +266,7 @@ fn normalized(mut series: Vec<f64>) -> Vec<f64> {
     series
 }
 
-/// Of normalized series.
+/// Correlation of two normalized series.
 fn correlation(values: &[f64], others: &[f64]) -> f64 {
     values.iter().zip(others).map(|(value, other)| value * other).sum()
 }

@@ -229,7 +229,7 @@ fn rest_windows(
     rests.iter().filter(is_led).filter_map(window).collect()
 }
 
-/// Of a rest from its goal.
+/// Limits of the distance between a rest and its goal.
 const MAX_GOAL_DISTANCE_M: f64 = 0.02;
 const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 

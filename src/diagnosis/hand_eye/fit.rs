@@ -287,7 +287,7 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
     normal
 }
 
-/// Of all parameters; infinite variances if not observable.
+/// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
 fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
     let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
     let mut information = DMatrix::zeros(linear.width, linear.width);

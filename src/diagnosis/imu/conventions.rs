@@ -139,7 +139,7 @@ const EQUALITY_TOLERANCE: f64 = 1e-5;
 /// Row, gyro, and FK body rate of the link, rad/s.
 pub(super) type RatePair = (usize, Vec3, Vec3);
 
-/// With the gyro in another unit.
+/// Multiplies the gyro by a factor.
 fn scaled(pairs: &[RatePair], factor: f64) -> Vec<RatePair> {
     pairs.iter().map(|&(row, gyro, rate)| (row, factor * gyro, rate)).collect()
 }

@@ -86,7 +86,7 @@ impl Clearances {
         keep
     }
 
-    /// Of two segments' surfaces, m.
+    /// Distance between the surfaces of two segments, m.
     fn distance(&self, points: &[Vec3], i: usize, j: usize) -> f64 {
         between(&points[i..i + 2], &points[j..j + 2])
             - (self.body.radius_m[i] + self.body.radius_m[j])
@@ -100,7 +100,7 @@ impl Clearances {
         }
     }
 
-    /// Segment pairs, and segments above the floor, that are closer than `limit` of their minimum distance.
+    /// Segment pairs, and segments above the floor, at less than the distance that `limit` returns for their minimum.
     fn closer_than<'a>(
         &'a self,
         points: &'a [Vec3],

@@ -241,7 +241,7 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
-/// Of a velocity, by cubic and by linear interpolation.
+/// Integrals of a velocity, by cubic and by linear interpolation.
 fn integrals(t_s: &[f64], v: &[f64]) -> [Vec<f64>; 2] {
     let slopes = slopes(t_s, v);
     let (mut cubic, mut linear) = (vec![0.0], vec![0.0]);
