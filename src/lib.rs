@@ -61,7 +61,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
     let given = corrections.as_ref().zip(options.corrections.as_deref());
     let given = given.map(|(corrections, file)| GivenCorrections { corrections, file });
-    let mut log = log::open(&options.logs, &options.read)?;
+    let mut log = audit::open(options)?;
     if let Some(given) = &given {
         given.correct_stamps(&mut log)?;
     }
@@ -91,7 +91,7 @@ pub fn audit_prepared(log: log::Log, options: &Options) -> Result<Audited, Troub
 /// # Errors
 /// If the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
-    let mut log = log::open(&options.logs, &options.read)?;
+    let mut log = audit::open(options)?;
     prepare(&mut log, &options.run)?;
     let read = audit::ReadLog::from_log(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;

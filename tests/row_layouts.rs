@@ -122,6 +122,53 @@ fn one_moving_joint_and_its_rate_are_enough_for_a_proposal() {
 }
 
 #[test]
+fn a_table_without_times_is_refused_with_its_columns_and_the_rate_of_its_velocities() {
+    const RATE_HZ: f64 = 125.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let all = CLEAN.rows();
+    let row = |at: usize| -> Vec<f64> {
+        let rate = |joint: usize| (all[at + 1][joint] - all[at - 1][joint]) / 2.0 * RATE_HZ;
+        [&all[at][1..7], &(1..=6).map(rate).collect::<Vec<_>>(), &all[at][7..]].concat()
+    };
+    let rows: Vec<Vec<f64>> = (1..all.len() - 1).map(row).collect();
+    let logs = [write(folder.path(), "run.csv", &text(&rows))];
+    let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+    assert!(refusal.what.contains("imply 125 rows per second"), "{refusal}");
+    let layout = "q[6],qd[6],x,y,z,rot[4]@125";
+    assert!(refusal.remedy.contains(&format!("--columns '{layout}'")), "{refusal}");
+    assert!(!refusal.to_string().contains('\n'));
+    let pasted = audit_with(&logs, Some("ur5e"), Some(layout)).expect("a report");
+    assert!(!fault_codes(&pasted).contains(&"VEL001"), "{:?}", pasted.findings);
+    assert_eq!((pasted.error, pasted.robots[0].name.as_str()), (None, "ur5e"));
+    // Without velocities the rate is open.
+    let rows: Vec<Vec<f64>> = all.iter().map(|row| row[1..].to_vec()).collect();
+    let names = "q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
+    let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];
+    let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+    let asks = refusal.remedy.contains("--columns 'q[6],x,y,z,qx,qy,qz,qw@RATE'");
+    assert!(asks && !refusal.what.contains("imply"), "{refusal}");
+}
+
+#[test]
+fn velocities_that_are_named_belong_to_the_proposal() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let all = Table { poses: false, ..CLEAN }.rows();
+    let row = |at: usize| -> String {
+        let list = |numbers: &dyn Fn(usize) -> f64| -> String {
+            let gripper_and_joints = std::iter::once(0.0).chain((1..=6).map(numbers));
+            gripper_and_joints.map(|number| format!("{number:.8e}")).collect::<Vec<_>>().join(" ")
+        };
+        let rate = |joint: usize| (all[at + 1][joint] - all[at - 1][joint]) / (2.0 * STEP_S);
+        let (positions, velocities) = (list(&|joint| all[at][joint]), list(&rate));
+        format!("{:.3},\"[{positions}]\",\"[{velocities}]\"\n", all[at][0])
+    };
+    let rows: String = (1..all.len() - 1).map(row).collect();
+    let logs = [write(folder.path(), "run.csv", &format!("Time,Position,Velocity\n{rows}"))];
+    let open = audit_with(&logs, Some("ur5e"), None).expect("a report");
+    assert_eq!(open.log.tables[0].layout.as_deref(), Some("t,_,q[6],_,qd[6]"), "{:?}", open.error);
+}
+
+#[test]
 fn columns_that_never_change_are_proposed_as_joints_at_rest() {
     let folder = tempfile::tempdir().expect("a folder");
     let first = CLEAN.rows().swap_remove(0);

@@ -5,6 +5,7 @@ mod any_log;
 mod calibrate;
 mod demo;
 mod fixed_point;
+mod missing_rate;
 mod options;
 mod tables;
 
@@ -26,6 +27,7 @@ pub use calibrate::{
     CalibrationInput, CalibrationResult, Measurement, calibrate, calibrate_at_fixed_points,
 };
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
+pub(crate) use missing_rate::open;
 pub use options::{Options, Policy};
 
 pub(crate) struct ReadLog {

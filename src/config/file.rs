@@ -201,6 +201,7 @@ impl Columns {
             pose_commands: self.pose_commands.0.clone(),
             arms: self.arm.iter().map(of_arm).collect(),
             layouts: self.layouts(),
+            ..ColumnSettings::default()
         }
     }
 }

@@ -215,6 +215,8 @@ pub struct TableShape {
     pub time_unit_s: Option<f64>,
     /// Set if the stamps are generated.
     pub rate_hz: Option<f64>,
+    /// Whether its rows have no times; the stamps are those of an assumed rate.
+    pub lacks_times: bool,
     /// The meaning of its columns as a value of `--columns`.
     pub layout: Option<String>,
     /// Why the layout is only a proposal; `None` if it is how the columns were read.

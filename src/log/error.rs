@@ -109,6 +109,16 @@ pub enum LogError {
         /// The unidentified content.
         what: String,
     },
+    /// The rows of a table have no times.
+    #[error("{}: {what}; {}", path.display(), rate_remedy(*rows))]
+    NoTimes {
+        /// Path.
+        path: PathBuf,
+        /// The reason.
+        what: String,
+        /// Number of rows.
+        rows: usize,
+    },
     /// A given layout contradicts a table.
     #[error("{}: {what}; `_` ignores a column (docs/datasets.md)", path.display())]
     Layout {
@@ -169,6 +179,15 @@ impl LogError {
             None => Self::NoMessages { path, cause: "none were recorded".to_owned() },
         }
     }
+}
+
+/// What to do about a table with this many rows and no times.
+pub fn rate_remedy(rows: usize) -> String {
+    format!(
+        "end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or set `rate_hz = 30` in [columns] \
+         of the config, or pass a file with the times of the {rows} rows as well; if each row is a configuration at \
+         rest, use `poseaudit calibrate` with --columns 'q[6],xyz', without a rate"
+    )
 }
 
 /// Mentions the first path of a repeated file, if it differs.

@@ -58,7 +58,9 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
                 files.push(file);
             }
             // One unreadable file of a recording does not prevent reading the others.
-            Err(LogError::Columns { path, what }) if input.in_bag && inputs.len() > 1 => {
+            Err(LogError::Columns { path, what } | LogError::NoTimes { path, what, .. })
+                if input.in_bag && inputs.len() > 1 =>
+            {
                 match tables.names_signal(&path) {
                     true => losses.add_unplaced(Extent::Messages, None, what),
                     false => intake.note(&path, format!("was not read: {what}")),

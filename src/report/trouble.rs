@@ -4,7 +4,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::log::{LogError, POSE_TIMES_REMEDY, SourceName};
+use crate::log::{LogError, POSE_TIMES_REMEDY, SourceName, rate_remedy};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be processed, and what to do about it.
@@ -86,6 +86,10 @@ impl From<LogError> for Trouble {
             _ => TroubleKind::Log,
         };
         let another = "pass a log that a recorder wrote";
+        let of_rate = match error {
+            LogError::NoTimes { rows, .. } => rate_remedy(rows),
+            _ => String::new(),
+        };
         let (path, what, remedy) = match error {
             LogError::NotFound { path } => (path, "no such file".to_owned(), another),
             LogError::Permission { path } => {
@@ -131,6 +135,7 @@ impl From<LogError> for Trouble {
                 what,
                 "declare it with --columns, or in [columns] of the config (docs/datasets.md)",
             ),
+            LogError::NoTimes { path, what, .. } => (path, what, of_rate.as_str()),
             LogError::Layout { path, what } => {
                 (path, what, "correct --columns; `_` ignores a column (docs/datasets.md)")
             }

@@ -75,6 +75,14 @@ const MAX_BACKWARD_PERCENT: usize = 2;
 
 const MAX_NANOS: f64 = 9e18;
 
+/// Why a table has no clock.
+pub(super) enum ClockError {
+    /// It has no times.
+    NoTimes(String),
+    /// Ambiguous times, or those of the config are none.
+    Other(String),
+}
+
 pub(super) struct Clock {
     /// ns.
     pub stamps: Vec<Option<i64>>,
@@ -124,10 +132,10 @@ fn begins_with_time(name: &str) -> bool {
 
 /// # Errors
 /// If the row times are unknown or ambiguous, or the configured column does not hold times.
-pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
+pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, ClockError> {
     if let Some(name) = &settings.time {
-        let cell = find_cell(table, name)
-            .ok_or_else(|| format!("`columns.time` names '{name}', but there is no such column"))?;
+        let missing = || format!("`columns.time` names '{name}', but there is no such column");
+        let cell = find_cell(table, name).ok_or_else(|| ClockError::Other(missing()))?;
         let column = &table.columns[cell.0];
         let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
         let own = Column {
@@ -138,9 +146,12 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
             billionths: column.billionths.clone(),
             parts: Vec::new(),
         };
-        return from_column(cell.0, &own, None).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
-            || format!("`columns.time` names '{name}', but its numbers are not times: they must increase"),
-        );
+        let clock =
+            from_column(cell.0, &own, None).map(|clock| Clock { cell: Some(cell), ..clock });
+        return clock.ok_or_else(|| {
+            let what = "but its numbers are not times: they must increase";
+            ClockError::Other(format!("`columns.time` names '{name}', {what}"))
+        });
     }
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(from_rate(table, rate_hz, "from `columns.rate_hz`"));
@@ -333,12 +344,12 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
 
 /// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
 /// as the same column.
-fn clock_by_values(table: &Table) -> Result<Clock, String> {
+fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     /// More increasing columns, copies included, are ramps rather than clocks.
     const MAX_INCREASING_COLUMNS: usize = 2;
     let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
-        let why = match named.next() {
+        ClockError::NoTimes(match named.next() {
             Some(column) => {
                 format!(
                     "column '{}' is named as a time, but {}",
@@ -355,13 +366,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
                 }
                 None => "no column holds times, and the metadata has no rate".to_owned(),
             },
-        };
-        format!(
-            "{why}: end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or add `[columns]` with \
-             `rate_hz = 30` to poseaudit.toml, or pass a file with the times of the {} rows as well; if each row is a \
-             configuration at rest, use `poseaudit calibrate` with --columns 'q[6],xyz', without a time",
-            table.rows
-        )
+        })
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
@@ -399,11 +404,11 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
         several => {
             let names: Vec<String> =
                 several.iter().map(|(name, ..)| format!("time = \"{name}\"")).collect();
-            Err(format!(
+            Err(ClockError::Other(format!(
                 "{} columns increase like times, and no name shows which one to use: {}",
                 names.len(),
                 names.join(", or ")
-            ))
+            )))
         }
     }
 }
@@ -515,7 +520,7 @@ fn find_cell(table: &Table, name: &str) -> Option<(usize, usize)> {
     (part < table.columns[at].width).then_some((at, part))
 }
 
-fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
+pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let step_ns = NANOS_PER_SECOND as f64 / rate_hz;
     // A low rate may exceed the range of stamps.
     let stamp = |row: usize| {

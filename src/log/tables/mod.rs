@@ -54,6 +54,7 @@ use ground::time::NANOS_PER_SECOND;
 pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning, RowLayout};
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
+use self::clock::ClockError;
 pub(super) use self::csv::{column_names, has_time, is_table, is_table_of_text};
 pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
@@ -166,6 +167,7 @@ impl Table {
             nanos: clock.nanos,
             time_unit_s: clock.unit_s,
             rate_hz: clock.rate_hz,
+            lacks_times: false,
             layout: None,
             layout_reason: None,
         }
@@ -182,6 +184,24 @@ impl Table {
         };
         let bare = |own: &str| own.split_once(" [").is_some_and(|(own, _)| own == name);
         place(&|own| own == name).or_else(|| place(&bare))
+    }
+}
+
+impl TableShape {
+    /// Columns that are named as the velocities of these joint positions: `Velocity[2]` of `Position[2]`. Empty if a
+    /// joint has none.
+    pub fn velocities_of(&self, joints: &[TableCell]) -> Vec<TableCell> {
+        let numbered = |name: &str| {
+            let (stem, number) = names::numbered(name)?;
+            Some((names::is_joint_velocities(&stem), names::shared_words(&stem), number))
+        };
+        let velocity = |joint: &TableCell| {
+            let (_, words, number) = numbered(&joint.name)?;
+            let wanted = Some((true, words, number));
+            let own = self.numbers.iter().find(|own| numbered(&own.name) == wanted)?;
+            Some(TableCell { at: own.at?, name: own.name.clone(), ..joint.clone() })
+        };
+        joints.iter().map(velocity).collect::<Option<_>>().unwrap_or_default()
     }
 }
 
@@ -316,6 +336,8 @@ pub(super) struct TableTopic {
 enum EpisodeError {
     /// The columns or stamps are unidentified.
     Unidentified(String),
+    /// Its rows have no times.
+    NoTimes(String),
     /// The given layout contradicts the table.
     Layout(String),
     UnusableRows(String),
@@ -476,6 +498,13 @@ impl Tables {
                 Err(EpisodeError::Unidentified(what)) => {
                     return Err(LogError::Columns { path: path.to_owned(), what });
                 }
+                Err(EpisodeError::NoTimes(what)) => {
+                    return Err(LogError::NoTimes {
+                        path: path.to_owned(),
+                        what,
+                        rows: table.rows,
+                    });
+                }
                 Err(EpisodeError::Layout(what)) => {
                     return Err(LogError::Layout { path: path.to_owned(), what });
                 }
@@ -550,9 +579,14 @@ impl Tables {
             Some(time) => clock::of_layout(table, time).map_err(EpisodeError::Layout)?,
             None => None,
         };
-        let clock = match clock {
-            Some(clock) => clock,
-            None => clock::detect(table, settings).map_err(EpisodeError::Unidentified)?,
+        let found = clock.map_or_else(|| clock::detect(table, settings), Ok);
+        let (clock, lacks_times) = match (found, settings.assumed_rate_hz) {
+            (Ok(clock), _) => (clock, false),
+            (Err(ClockError::NoTimes(_)), Some(rate_hz)) => {
+                (clock::from_rate(table, rate_hz, "which is assumed"), true)
+            }
+            (Err(ClockError::NoTimes(what)), None) => return Err(EpisodeError::NoTimes(what)),
+            (Err(ClockError::Other(what)), _) => return Err(EpisodeError::Unidentified(what)),
         };
         let found = meaning::identify_topics(table, &clock, settings, layout.as_ref())
             .map_err(EpisodeError::Unidentified)?;
@@ -581,9 +615,12 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
+        let shape = table.shape(path, &clock);
         let shape = TableShape {
             layout: row_layout.map(RowLayout::to_string),
-            ..table.shape(path, &clock)
+            rate_hz: shape.rate_hz.filter(|_| !lacks_times),
+            lacks_times,
+            ..shape
         };
         let shape = intake.table(shape);
         let episode = self.episodes.len().saturating_sub(1);

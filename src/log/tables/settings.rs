@@ -12,6 +12,8 @@ pub struct ColumnSettings {
     pub time: Option<String>,
     /// Used if no column holds times.
     pub rate_hz: Option<f64>,
+    /// Used if the times of the rows are unknown, to identify the columns. Otherwise such a table is refused.
+    pub assumed_rate_hz: Option<f64>,
     /// In the order of the model's joints.
     pub joints: Vec<ColumnSelector>,
     /// Commands in the same order.

@@ -375,11 +375,25 @@ impl<'a> ColumnSearch<'a> {
             cells: cells(columns),
         };
         let mut assigned: Vec<Assignment> = groups.iter().map(assignment).collect();
-        let is_asked =
-            |content: fn(&Content) -> bool| groups.iter().any(|(_, own, _)| content(own));
+        let is_asked = |content: fn(&Content) -> bool| {
+            groups.iter().any(|(_, own, columns)| content(own) && !columns.is_empty())
+        };
         let joints = self.cells.columns_of_kind(NumberKind::Joint);
         if !joints.is_empty() && !is_asked(|own| matches!(own, Content::Joints(_))) {
             assigned.push(assignment(&(None, Content::Joints(None), &joints)));
+        }
+        // Velocities that are known by name.
+        if !is_asked(|own| matches!(own, Content::Velocities))
+            && let Some(shape) = &self.shape
+        {
+            let of_joints = assigned.iter().filter(|own| matches!(own.content, Content::Joints(_)));
+            let velocities = of_joints.map(|joints| Assignment {
+                arm: joints.arm.clone(),
+                is_command: false,
+                content: Content::Velocities,
+                cells: shape.velocities_of(&joints.cells),
+            });
+            assigned.extend(velocities.collect::<Vec<_>>());
         }
         let table = self.cells.numbers.first().map_or(0, |number| number.cell.table);
         let shape = self.shape.as_ref();

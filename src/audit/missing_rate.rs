@@ -1,0 +1,126 @@
+//! The columns and the rate of a table whose rows have no times, for the error that asks for the rate.
+
+use super::Options;
+use crate::log::{self, FileLayout, Log, LogError, SourceName};
+use crate::report::{Trouble, TroubleKind};
+use crate::run::identify_columns;
+use crate::stream::{Columns, JointColumns};
+
+/// Makes the stamps with which columns are identified.
+const ASSUMED_RATE_HZ: f64 = 50.0;
+
+/// Opens the log of an audit.
+///
+/// # Errors
+/// If it cannot be read. If the rows of a table have no times, the error states its columns, and the rate that recorded
+/// velocities imply.
+pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
+    log::open(&options.logs, &options.read).map_err(|error| {
+        let question = match &error {
+            LogError::NoTimes { path, what, rows } => question(options, *rows).map(|own| {
+                let place = SourceName::from_path(path).to_string();
+                let what = format!("{what}{}", own.implied);
+                Trouble { kind: TroubleKind::Log, what, place, remedy: own.remedy }
+            }),
+            _ => None,
+        };
+        question.unwrap_or_else(|| error.into())
+    })
+}
+
+struct RateQuestion {
+    /// About the rate, if velocities imply one.
+    implied: String,
+    remedy: String,
+}
+
+/// `None` if the columns are unknown as well.
+fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
+    let mut log = open_at_assumed_rate(options, None)?;
+    identify_columns(&mut log, &options.run);
+    let tables = || log.tables.iter().filter(|table| table.lacks_times);
+    let is_certain = tables().all(|table| table.layout_reason.is_none());
+    let mut layouts: Vec<FileLayout> = Vec::new();
+    for table in tables() {
+        let own = FileLayout {
+            file: table.file.file_name().map(|name| name.to_string_lossy().into_owned()),
+            layout: table.layout.as_deref()?.parse().ok()?,
+        };
+        if !layouts.contains(&own) {
+            layouts.push(own);
+        }
+    }
+    if layouts.windows(2).all(|pair| pair[0].layout == pair[1].layout) {
+        layouts.truncate(1);
+        layouts.iter_mut().for_each(|own| own.file = None);
+    }
+    let rate_hz = implied_rate_hz(&open_at_assumed_rate(options, Some(&layouts))?);
+    let with = |rate: &str| -> String {
+        let option = |FileLayout { file, layout }: &FileLayout| {
+            let file = file.as_ref().map(|file| format!("{file}=")).unwrap_or_default();
+            format!("--columns '{file}{layout}{rate}'")
+        };
+        layouts.iter().map(option).collect::<Vec<_>>().join(" ")
+    };
+    let condition = if is_certain { "" } else { "if these are the columns, " };
+    let or_times = format!("or pass a file with the times of the {rows} rows as well");
+    Some(match rate_hz {
+        Some(rate_hz) => RateQuestion {
+            implied: format!("; recorded velocities imply {rate_hz} rows per second"),
+            remedy: format!(
+                "{condition}use {} or the true rate, {or_times}",
+                with(&format!("@{rate_hz}"))
+            ),
+        },
+        None => RateQuestion {
+            implied: String::new(),
+            remedy: format!(
+                "{condition}use {} with the true rows per second as RATE, {or_times}; if each row is a configuration \
+                 at rest, use `poseaudit calibrate` with {}",
+                with("@RATE"),
+                with("")
+            ),
+        },
+    })
+}
+
+fn open_at_assumed_rate(options: &Options, layouts: Option<&[FileLayout]>) -> Option<Log> {
+    let mut read = options.read.clone();
+    read.progress = None;
+    read.columns.assumed_rate_hz = Some(ASSUMED_RATE_HZ);
+    if let Some(layouts) = layouts {
+        read.columns.layouts = layouts.to_vec();
+    }
+    log::open(&options.logs, &read).ok()
+}
+
+/// Rows per second at which the joints move as fast as their velocities, to three digits.
+fn implied_rate_hz(log: &Log) -> Option<f64> {
+    /// Between velocities and rates.
+    const MIN_CORRELATION: f64 = 0.95;
+    let joints = log.topics.iter().filter_map(|topic| match &topic.columns {
+        Some(Columns::Joints(joints)) => Some(joints),
+        _ => None,
+    });
+    let pairs = joints.flat_map(velocities_and_rates);
+    let [vv, rr, vr] = pairs.fold([0.0; 3], |[vv, rr, vr], (velocity, rate)| {
+        [vv + velocity * velocity, rr + rate * rate, vr + velocity * rate]
+    });
+    let rate_hz = ASSUMED_RATE_HZ * vr / rr;
+    let is_known = rate_hz.is_finite() && vr >= MIN_CORRELATION * (vv * rr).sqrt();
+    let digits = || 10.0_f64.powf(2.0 - rate_hz.log10().floor());
+    is_known.then(|| (rate_hz * digits()).round() / digits())
+}
+
+/// Per assumed second. Rows without a velocity are omitted.
+fn velocities_and_rates(joints: &JointColumns) -> impl Iterator<Item = (f64, f64)> + '_ {
+    let stamps = &joints.times.header;
+    joints.joints.iter().flat_map(move |joint| {
+        (1..joint.position.len().saturating_sub(1)).filter_map(move |row| {
+            let moved = joint.position[row + 1] - joint.position[row - 1];
+            let took_s = stamps[row + 1].saturating_sub(stamps[row - 1]) as f64 * 1e-9;
+            let pair = (joint.velocity[row], moved / took_s);
+            (pair.0.is_finite() && pair.1.is_finite()).then_some(pair)
+        })
+    })
+}
