@@ -74,6 +74,7 @@ pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
 /// The text in UTF-8, with a cell for each number of a list.
 fn with_single_numbers(bytes: &[u8]) -> Cow<'_, [u8]> {
     let text = text_encoding::to_utf8(bytes);
+    let text = vector_cells::without_numpy_scalars(&text).map_or(text, Cow::Owned);
     let text = vector_cells::join_lines(&text).map_or(text, Cow::Owned);
     match vector_cells::expand(&text).or_else(|| vector_cells::without_brackets(&text)) {
         Some(expanded) => Cow::Owned(expanded),
@@ -357,8 +358,38 @@ pub(super) fn read_rows(
     };
     let format = RowFormat { delimiter, names: names.as_deref(), width, times: &times };
     let rows = text_rows::read(&bytes[rows_at..], line, &format, context)?;
-    let TextRows { values, billionths, texts, text_counts, lines } = rows;
+    let TextRows { mut values, billionths, texts, text_counts, lines } = rows;
+    let first = bytes[rows_at..].split(|byte| *byte == b'\n').next().unwrap_or_default();
+    for (at, cell) in cells(first, delimiter).into_iter().enumerate() {
+        if let (Some(period_s), Some(own)) = (clock_period_s(cell), values.get_mut(at)) {
+            continue_times(own, period_s);
+        }
+    }
     Ok(Table { lines, ..build_table(names, values, billionths, &texts, &text_counts) })
+}
+
+/// When a time of day without its date starts again: `40:34.4` each hour, `10:40:34` each day.
+fn clock_period_s(cell: &[u8]) -> Option<f64> {
+    let cell = unquoted(cell);
+    let is_time = |byte: &u8| byte.is_ascii_digit() || b":.,".contains(byte);
+    match cell.iter().filter(|byte| **byte == b':').count() {
+        _ if !cell.iter().all(is_time) => None,
+        1 => Some(3600.0),
+        2 => Some(86_400.0),
+        _ => None,
+    }
+}
+
+/// Counts on where times fall by more than half the period.
+fn continue_times(values: &mut [f64], period_s: f64) {
+    let (mut periods, mut last) = (0.0, f64::NAN);
+    for value in values.iter_mut().filter(|value| value.is_finite()) {
+        if last - *value > 0.5 * period_s {
+            periods += 1.0;
+        }
+        last = *value;
+        *value += periods * period_s;
+    }
 }
 
 /// Markers for missing numbers are not text.
@@ -520,7 +551,9 @@ fn moment(cell: &str) -> Option<f64> {
             (Some([day.get(..4)?, day.get(4..6)?, day.get(6..)?]), time)
         }
         [year, month, day, time @ ..] if sides(year) == 4 => (Some([*year, *month, *day]), time),
-        [first, second, year, time @ ..] if sides(year) == 4 && sides(first) <= 2 => {
+        [first, second, year, time @ ..]
+            if sides(year) == 4 && sides(first) <= 2 && separators.first() != Some(&':') =>
+        {
             // The day comes first with dots. Otherwise the month does, unless it exceeds 12.
             let is_day_first = separators.first() == Some(&'.') || first.parse::<u8>().ok()? > 12;
             let [month, day] = if is_day_first { [*second, *first] } else { [*first, *second] };

@@ -160,7 +160,7 @@ impl Variables {
                 return Ok(());
             }
             STRUCT => "an array of structs, not numbers; save the numbers of its fields as arrays",
-            1 => "a cell array, not numbers",
+            1 => "a cell array, not numbers; save the numbers of its cells as arrays",
             4 => "text, not numbers",
             5 => "a sparse matrix; save it as a full one",
             _ if !NUMERIC.contains(&class) => {

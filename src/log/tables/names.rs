@@ -208,6 +208,8 @@ const GENERIC_WORDS: &[&str] = &[
     "position",
     "positions",
     "pos",
+    "present",
+    "real",
     "robot",
     "arm",
     "angle",
@@ -491,13 +493,25 @@ pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
 
 /// `left_`, `right_` or empty.
 pub(super) fn arm_prefix(stem: &[String]) -> String {
-    let mut own = stem.iter().map(String::as_str);
-    match own.find(|word| ["left", "right", "l", "r"].contains(word)) {
+    let sides = stem.iter().enumerate().filter(|(at, word)| {
+        // In `R0.05` the letter is a symbol.
+        let is_symbol = || stem.get(at + 1).is_some_and(|next| is_number(next));
+        match word.as_str() {
+            "left" | "right" => true,
+            "l" | "r" => !is_symbol(),
+            _ => false,
+        }
+    });
+    match sides.map(|(_, word)| word.as_str()).next() {
         Some("l") => "left_".to_owned(),
         Some("r") => "right_".to_owned(),
         Some(side) => format!("{side}_"),
         None => String::new(),
     }
+}
+
+fn is_number(word: &str) -> bool {
+    word.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 /// Whether there are only generic words and a side.

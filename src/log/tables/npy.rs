@@ -178,7 +178,8 @@ fn tables_of_columns(
     context: &mut ReadContext,
 ) -> Result<Episodes, TableError> {
     if columns.is_empty() {
-        return Err("it contains no array of numbers".into());
+        let first = unread.first().map(|(name, why)| format!("; '{name}': {why}"));
+        return Err(format!("it contains no array of numbers{}", first.unwrap_or_default()).into());
     }
     let mut tables = Table::by_row_count(columns, context.memory);
     tables[0].rate_hz = rate_hz;

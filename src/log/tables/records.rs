@@ -104,12 +104,39 @@ pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     read_document(&document, context)
 }
 
+/// Names and rate of a first record that describes the others: it has no time and no name of the second one, which has
+/// times unless the first has their rate.
+fn description(first: &Value, second: &Value) -> Option<(Vec<String>, Option<f64>)> {
+    let names = |record: &Value| -> Option<Vec<String>> {
+        let mut names = Vec::new();
+        collect_names(record.as_object()?, "", 0, &mut names);
+        Some(names)
+    };
+    let (own, others) = (names(first)?, names(second)?);
+    let rate_hz = rate_in(first);
+    let is_of_rows = |name: &String| others.contains(name) || clock::is_time(name);
+    let are_rows_timed = rate_hz.is_some() || others.iter().any(|name| clock::is_time(name));
+    (are_rows_timed && !own.iter().any(is_of_rows)).then_some((own, rate_hz))
+}
+
 /// JSON lines; `None` if the first line is not a record.
 fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>, TableError> {
     let mut records = Records::default();
     let mut malformed: Option<(u64, String)> = None;
     let lines = text.split(|byte| *byte == b'\n').enumerate();
     let lines = lines.filter(|(_, line)| !line.trim_ascii().is_empty());
+    let head: Vec<Value> =
+        lines.clone().take(2).filter_map(|(_, line)| serde_json::from_slice(line).ok()).collect();
+    let description = match head.as_slice() {
+        [first, second] => description(first, second),
+        _ => None,
+    };
+    let lines = lines.skip(usize::from(description.is_some()));
+    if let Some((names, rate_hz)) = description {
+        let why = "only in the first record, which has no time";
+        records.unread.extend(names.into_iter().map(|name| (name, why.to_owned())));
+        records.rate_hz = rate_hz;
+    }
     for (index, line) in lines {
         match serde_json::from_slice::<Value>(line) {
             Ok(value @ (Value::Object(_) | Value::Array(_))) => {

@@ -73,6 +73,24 @@ pub(super) fn without_brackets(bytes: &[u8]) -> Option<Vec<u8>> {
     is_table.then(|| lines().map(plain).collect::<Vec<_>>().join(&b'\n'))
 }
 
+/// The text with `0.1` for `np.float64(0.1)`, as numpy 2 prints numbers in lists. `None` without such numbers.
+pub(super) fn without_numpy_scalars(bytes: &[u8]) -> Option<Vec<u8>> {
+    const PREFIX: &[u8] = b"np.float";
+    let mut plain = Vec::with_capacity(bytes.len());
+    let mut rest = bytes;
+    while let Some(at) = memchr::memmem::find(rest, PREFIX) {
+        let number = &rest[at + PREFIX.len()..];
+        let bits = number.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        let end = memchr::memchr(b')', number).filter(|_| number.get(bits) == Some(&b'('))?;
+        plain.extend_from_slice(&rest[..at]);
+        plain.extend_from_slice(&number[bits + 1..end]);
+        rest = &number[end + 1..];
+    }
+    let is_changed = rest.len() < bytes.len();
+    plain.extend_from_slice(rest);
+    is_changed.then_some(plain)
+}
+
 /// Columns of a text with lists.
 struct VectorLayout {
     delimiter: u8,
@@ -198,6 +216,18 @@ mod tests {
             let count =
                 rows.map(|rows| cells(rows.split(|b| *b == b'\n').next().unwrap(), b' ').len());
             assert_eq!(count, expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn numpy_scalars_are_numbers() {
+        let plain = |text: &str| {
+            without_numpy_scalars(text.as_bytes()).map(|own| String::from_utf8(own).unwrap())
+        };
+        let text = "t,q\n0.1,\"[np.float64(0.2), np.float32(-3e-2)]\"\n";
+        assert_eq!(plain(text).as_deref(), Some("t,q\n0.1,\"[0.2, -3e-2]\"\n"));
+        for text in ["t,q\n0.1,0.2\n", "np.float64", "np.float64(0.1"] {
+            assert_eq!(plain(text), None, "{text}");
         }
     }
 

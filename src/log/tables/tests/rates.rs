@@ -3,6 +3,8 @@
 use std::io::Write;
 
 use super::*;
+use crate::TableCell;
+use crate::tables::names;
 
 /// An NPY array of float64 by rows.
 fn array_of(shape: &[usize], number: impl Fn(usize) -> f64) -> Vec<u8> {
@@ -239,4 +241,81 @@ fn lists_of_different_lengths_in_a_document_are_streams() {
     assert_eq!(joints(&log, "joint_positions").1.len(), 500);
     assert_eq!(array(&log, "tcp_pose").1.len(), 1200);
     assert_eq!(stamps(&log, "tcp_pose")[1], 25_000_000);
+}
+
+/// Rows of six joints with the text of their times.
+fn rows_at(time: impl Fn(usize) -> String) -> String {
+    let row = |row: usize| {
+        let q: Vec<String> = (0..6).map(|joint| format!("{:.6}", wave(row + 40 * joint))).collect();
+        format!("\n{},{}", time(row), q.join(","))
+    };
+    "Time,q1,q2,q3,q4,q5,q6".to_owned() + &(0..60).map(row).collect::<String>()
+}
+
+#[test]
+fn times_of_day_continue_after_the_hour_and_after_midnight() {
+    let seconds = |row: usize| 3599.5 + 0.02 * row as f64;
+    let minutes = |row: usize| {
+        let time = seconds(row) % 3600.0;
+        format!("{:02}:{:07.4}", (time / 60.0) as u32, time % 60.0)
+    };
+    let hours = |row: usize| {
+        let time = (82_800.0 + seconds(row)) % 86_400.0;
+        let [hour, minute] = [time / 3600.0, time % 3600.0 / 60.0].map(|part| part as u32);
+        format!("{hour:02}:{minute:02}:{:06.3}", time % 60.0)
+    };
+    for text in [rows_at(minutes), rows_at(hours)] {
+        let log = plain(text.as_bytes());
+        let stamps = stamps(&log, "q");
+        let steps: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| (step - 20_000_000).abs() < 1_000_000), "{steps:?}");
+    }
+    // Numbers of seconds that fall are another episode, or are no times.
+    let restarted = |row: usize| format!("{:.2}", 0.02 * (row % 30) as f64 + 3000.0);
+    let stamps = stamps(&plain(rows_at(restarted).as_bytes()), "q");
+    assert!(stamps[30] < stamps[29], "{stamps:?}");
+}
+
+#[test]
+fn columns_of_a_table_without_times_are_read_at_an_assumed_rate() {
+    let assumed = ColumnSettings { assumed_rate_hz: Some(50.0), ..ColumnSettings::default() };
+    let arrays = [("q", array_of(&[100, 6], wave)), ("tcp_pose", array_of(&[100, 6], wave))];
+    let log = read(&npz(&arrays), assumed.clone()).expect("a log");
+    assert!(log.tables[0].lacks_times && log.tables[0].rate_hz.is_none());
+    assert_eq!(joints(&log, "q").1.len(), 100);
+    // Times are not replaced.
+    let log = read(&npz(&two_rates()), assumed).expect("a log");
+    assert!(log.tables.iter().all(|table| !table.lacks_times));
+    assert_eq!(stamps(&log, "q")[1], 5_010_000_000);
+}
+
+#[test]
+fn velocities_are_found_by_the_names_of_positions() {
+    let row = |row: usize| {
+        let list = |phase: usize| -> Vec<String> {
+            (0..8).map(|joint| format!("{:.5e}", wave(row + phase + 30 * joint))).collect()
+        };
+        format!("\n{},\"[{}]\",\"[{}]\"", 0.02 * row as f64, list(0).join(" "), list(9).join(" "))
+    };
+    let text = "Time,Position,Velocity".to_owned() + &(0..60).map(row).collect::<String>();
+    let log = plain(text.as_bytes());
+    let cell = |joint: usize| topic(&log, &format!("Position[{joint}]")).cells[0].clone();
+    let positions: Vec<TableCell> = (1..8).map(cell).collect();
+    let found = log.tables[0].velocities_of(&positions);
+    let found: Vec<&str> = found.iter().map(|cell| cell.name.as_str()).collect();
+    let expected: Vec<String> = (1..8).map(|joint| format!("Velocity[{joint}]")).collect();
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_letter_before_a_number_is_no_side() {
+    let prefix = |name: &str| names::arm_prefix(&names::split_words(name));
+    for (name, expected) in [
+        ("Fair_R0.055_T10_jointPosition", ""),
+        ("arm_r_joint", "right_"),
+        ("left_joint", "left_"),
+        ("R2_left_q", "left_"),
+    ] {
+        assert_eq!(prefix(name), expected, "{name}");
+    }
 }

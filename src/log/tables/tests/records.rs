@@ -146,3 +146,25 @@ fn aliases_in_yaml_do_not_multiply_its_size() {
     let line = read(text.as_bytes(), ColumnSettings::default()).expect_err("refused").to_string();
     assert!(line.contains("the YAML cannot be read"), "{line}");
 }
+
+#[test]
+fn a_first_record_without_times_describes_the_others() {
+    let rows: String = (0..ROWS)
+        .map(|row| json!({"t": 0.01 * row as f64, "joint_positions": q(row)}).to_string() + "\n")
+        .collect();
+    let meta = json!({"meta": {"robot": "ur5e", "fps": 100}}).to_string() + "\n";
+    let log = plain((meta.clone() + &rows).as_bytes());
+    assert_eq!(joints(&log, "joint_positions").1.len(), ROWS);
+    assert!(log.losses.is_empty(), "{:?}", log.losses);
+    let why = topic(&log, "meta.fps").read_as.as_deref().unwrap_or_default();
+    assert!(why.contains("only in the first record"), "{why}");
+    // Its rate stamps records without times.
+    let without: String =
+        (0..ROWS).map(|row| json!({"joint_positions": q(row)}).to_string() + "\n").collect();
+    let log = plain((meta + &without).as_bytes());
+    assert!(
+        log.notes.iter().any(|note| note.what.contains("100 rows per second")),
+        "{:?}",
+        log.notes
+    );
+}
