@@ -35,7 +35,7 @@ rule! {
     ///   FRM004 reports two publishers of one transform.
     /// - Fewer than 20 samples are also inconclusive.
     /// - For poses and untyped arrays only positions are checked.
-    /// - In a wrongly scaled stream (ORD008) the jump has the same wrong scale.
+    /// - In a stream whose declared unit is wrong (ORD008) the jump has the same wrong scale.
     MOT005 {
         name: "stray-samples",
         grade: Grade::Fixed(Severity::Warning),
@@ -66,7 +66,12 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
         return judged(stream.subject.clone(), Outcome::Inconclusive(why));
     }
     let reported = || stream.parts.iter().filter(|part| !are_unreported(part));
-    let amounts = reported().map(|part| (part, stream.amount(part)));
+    let factor = factor_to_m(case, stream);
+    let amount = |part| match stream.amount(part) {
+        (Unit::Metre, by) => (Unit::Metre, by * factor),
+        other => other,
+    };
+    let amounts = reported().map(|part| (part, amount(part)));
     let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
         return judged(stream.subject.clone(), Outcome::pass());
     };
@@ -84,7 +89,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
             "joint": part.joint,
             "frame": part.frame,
             "count": part.count(),
-            "length_m": part.largest_jump.length_m,
+            "length_m": part.largest_jump.length_m * factor,
             "angle_rad": part.largest_jump.angle_rad,
             "at_ns": part.largest_at.map(|at| at.to_string()),
         })
@@ -93,10 +98,20 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
     judged(subject, Outcome::fail(fault(case, stream, worst, count, &unit.show(amount))))
         .estimated(Estimate::exact("jump", unit.symbol(), amount))
         .with_evidence("count", count)
-        .with_evidence("length_m", worst.largest_jump.length_m)
+        .with_evidence("length_m", worst.largest_jump.length_m * factor)
         .with_evidence("angle_rad", worst.largest_jump.angle_rad)
         .with_evidence("at_ns", worst.largest_at.map(|at| at.to_string()))
         .with_evidence("parts", parts)
+}
+
+/// Of the numbers of a table, whose unit the motion shows. A declared unit is kept (ORD008).
+fn factor_to_m(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> f64 {
+    let poses = case.evidence.poses_and_tf().map(|(_, pose)| pose);
+    let mut own =
+        poses.filter(|pose| pose.is_undeclared && pose.subject.topic == stream.subject.topic);
+    let unit =
+        own.next().and_then(|pose| pose.diagnosis.length_unit.as_ref().ok().copied().flatten());
+    unit.map_or(1.0, |error| error.factor())
 }
 
 impl OutlierEvidence {
