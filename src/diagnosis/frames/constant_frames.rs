@@ -2,13 +2,12 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
-use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{
     PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
 };
 use crate::priors::MARKER_PRIOR_M;
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, PoseSums, minimize};
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
@@ -290,32 +289,64 @@ impl LeastSquares for FramePair<'_> {
     type State = (Pose, Pose);
 
     fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
-        const WEIGHTS: [f64; 2] = [1.0 / START_NOISE_M, START_LEVER_M / START_NOISE_M];
-        let mut sums = PoseSums::<12>::zeros();
+        // Weights of the squared residuals of position and rotation.
+        const WEIGHTS: [f64; 2] = [
+            1.0 / (START_NOISE_M * START_NOISE_M),
+            START_LEVER_M * START_LEVER_M / (START_NOISE_M * START_NOISE_M),
+        ];
+        let zeros = Matrix3::<f64>::zeros();
+        let (mut hands, mut crosses, mut squares) = (zeros, zeros, zeros);
+        let (mut points, mut right, mut cost) = (Vec3::zeros(), [Vec3::zeros(); 4], 0.0);
         for (fk, logged) in self.fk.iter().zip(self.logged) {
-            let jacobian = PoseJacobian::new(&[], reference, fk, tool);
-            let turn = logged.rotation * jacobian.pose.rotation.inverse();
-            let position = logged.translation.vector - jacobian.pose.translation.vector;
-            let residual = [position, rotvec_from_rotation(&turn)];
-            let derivatives: [Derivative; 12] = std::array::from_fn(|i| match i {
-                0..6 => jacobian.reference(i),
-                _ => jacobian.tool(i - 6),
-            });
-            sums.add(&derivatives, residual, WEIGHTS);
+            let predicted = reference * fk * tool;
+            let point = predicted.translation.vector;
+            let hand = *predicted.rotation.to_rotation_matrix().matrix();
+            let offset = logged.translation.vector - point;
+            let turn = rotvec_from_rotation(&(logged.rotation * predicted.rotation.inverse()));
+            let (shift, twist) = (WEIGHTS[0] * offset, WEIGHTS[1] * turn);
+            let lever = point.cross_matrix();
+            points += point;
+            hands += hand;
+            crosses += lever * hand;
+            squares += lever * lever;
+            let gradient =
+                [shift, point.cross(&shift) + twist, hand.tr_mul(&shift), hand.tr_mul(&twist)];
+            right.iter_mut().zip(gradient).for_each(|(sum, part)| *sum += part);
+            cost += shift.dot(&offset) + twist.dot(&turn);
         }
-        let mut normal = sums.into_equations();
-        for axis in 0..3 {
-            let mut prior = [0.0; 12];
-            prior[6 + axis] = 1.0 / MARKER_PRIOR_M;
-            // Changes of the tool are along its own axes.
-            let own = tool.rotation.inverse() * tool.translation.vector;
-            normal.add(&prior, -own[axis] / MARKER_PRIOR_M);
-        }
+        // The design of a pose is `[I, -lever, hand, 0]` for the position and `[0, I, 0, hand]` for the rotation.
+        let count = self.fk.len() as f64;
+        let [position, rotation] = WEIGHTS;
+        let levers = points.cross_matrix();
+        let mut matrix = SMatrix::<f64, 12, 12>::identity() * (count * position);
+        let mut set = |row: usize, column: usize, block: Matrix3<f64>| {
+            matrix.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+        };
+        let unit = Matrix3::identity() * (count * rotation);
+        set(3, 0, position * levers);
+        set(3, 3, unit - position * squares);
+        set(6, 0, position * hands.transpose());
+        set(6, 3, position * crosses.transpose());
+        set(9, 3, rotation * hands.transpose());
+        set(9, 9, unit);
+        let right = right.iter().flat_map(|part| part.iter().copied());
+        let mut normal = NormalEquations::from_sums(|i, j| matrix[(i, j)], right, cost);
+        add_tool_prior(&mut normal, tool);
         Some(normal)
     }
 
     fn moved(&self, (reference, tool): &Self::State, step: &[f64]) -> Self::State {
         (pose_of_twist(&step[..6]) * reference, tool * pose_of_twist(&step[6..]))
+    }
+}
+
+fn add_tool_prior(normal: &mut NormalEquations, tool: &Pose) {
+    // Changes of the tool are along its own axes.
+    let own = tool.rotation.inverse() * tool.translation.vector;
+    for axis in 0..3 {
+        let mut prior = [0.0; 12];
+        prior[6 + axis] = 1.0 / MARKER_PRIOR_M;
+        normal.add(&prior, -own[axis] / MARKER_PRIOR_M);
     }
 }
 
@@ -417,4 +448,40 @@ pub(crate) fn frame_estimate(
         p_value,
         is_chosen: chosen,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::jacobian::{Derivative, PoseJacobian};
+
+    #[test]
+    fn equations_of_frames_equal_sums_over_poses() {
+        let number = |seed: usize| ((seed * 37 + 11) % 89) as f64 / 89.0 - 0.5;
+        let random = |seed: usize| {
+            pose_of_twist(&std::array::from_fn::<f64, 6, _>(|i| number(7 * seed + 101 * i)))
+        };
+        let (reference, tool) = (random(1), random(2));
+        let fk: Vec<Pose> = (3..23).map(random).collect();
+        let logged: Vec<Pose> = fk.iter().map(|fk| random(30) * reference * fk * tool).collect();
+        let pair = FramePair { fk: &fk, logged: &logged };
+        let equations = pair.linearize(&(reference, tool)).expect("valid frames");
+        let mut sums = NormalEquations::zeros(12);
+        for (fk, logged) in fk.iter().zip(&logged) {
+            let jacobian = PoseJacobian::new(&[], &reference, fk, &tool);
+            let derivatives: [Derivative; 12] = std::array::from_fn(|i| match i {
+                0..6 => jacobian.reference(i),
+                _ => jacobian.tool(i - 6),
+            });
+            let turn = logged.rotation * jacobian.pose.rotation.inverse();
+            let position = logged.translation.vector - jacobian.pose.translation.vector;
+            let weights = [1.0 / START_NOISE_M, START_LEVER_M / START_NOISE_M];
+            sums.add_pose(&derivatives, [position, rotvec_from_rotation(&turn)], weights);
+        }
+        add_tool_prior(&mut sums, &tool);
+        for (a, b) in (0..12).flat_map(|b| (0..b).map(move |a| (a, b))) {
+            let [found, expected] = [&equations, &sums].map(|of| of.cost_after(&[a, b]));
+            assert!((found / expected - 1.0).abs() < 1e-9, "{a}, {b}: {found}, not {expected}");
+        }
+    }
 }

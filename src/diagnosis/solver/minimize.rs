@@ -120,56 +120,6 @@ impl NormalEquations {
     }
 }
 
-/// Sums over poses with a fixed number of parameters, in the order of [`NormalEquations::add_pose`].
-pub(crate) struct PoseSums<const N: usize> {
-    /// `AᵀA`; above the diagonal, entries may be missing.
-    squares: [[f64; N]; N],
-    right: [f64; N],
-    cost: f64,
-}
-
-impl<const N: usize> PoseSums<N> {
-    /// Sums without residuals.
-    pub fn zeros() -> Self {
-        Self { squares: [[0.0; N]; N], right: [0.0; N], cost: 0.0 }
-    }
-
-    /// Adds position and rotation of a pose, with a weight each.
-    pub fn add(&mut self, derivatives: &[Derivative; N], residual: [Vec3; 2], weights: [f64; 2]) {
-        for (kind, weight) in weights.into_iter().enumerate() {
-            let [x, y, z]: [[f64; N]; 3] = std::array::from_fn(|axis| {
-                std::array::from_fn(|i| weight * derivatives[i][kind][axis])
-            });
-            let residuals: [f64; 3] = (weight * residual[kind]).into();
-            for i in 0..N {
-                let (a, b, c) = (x[i], y[i], z[i]);
-                if a == 0.0 && b == 0.0 && c == 0.0 {
-                    continue;
-                }
-                let right = &mut self.right[i];
-                *right = *right + a * residuals[0] + b * residuals[1] + c * residuals[2];
-                // Constant lengths become vector instructions.
-                let half = N / 2;
-                let row = &mut self.squares[i];
-                for j in 0..half {
-                    row[j] = row[j] + a * x[j] + b * y[j] + c * z[j];
-                }
-                if i >= half {
-                    for j in half..N {
-                        row[j] = row[j] + a * x[j] + b * y[j] + c * z[j];
-                    }
-                }
-            }
-            self.cost = residuals.iter().fold(self.cost, |sum, residual| sum + residual * residual);
-        }
-    }
-
-    /// The sums as equations.
-    pub fn into_equations(self) -> NormalEquations {
-        NormalEquations::from_sums(|i, j| self.squares[i][j], self.right, self.cost)
-    }
-}
-
 pub(crate) trait LeastSquares {
     type State;
 
@@ -225,34 +175,4 @@ pub(crate) fn minimize<P: LeastSquares>(
         }
     }
     Some((here.cost, state))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sums_of_a_fixed_number_of_parameters_are_the_same_bits() {
-        let number = |at: usize| ((at * 37 + 11) % 89) as f64 / 89.0 - 0.5;
-        let (mut sums, mut equations) = (PoseSums::<12>::zeros(), NormalEquations::zeros(12));
-        for sample in 0..50 {
-            let vector = |at: usize| {
-                let part = |axis: usize| number(600 * sample + 3 * at + axis);
-                if at.is_multiple_of(5) {
-                    Vec3::zeros()
-                } else {
-                    Vec3::new(part(0), part(1), part(2))
-                }
-            };
-            let derivatives: [Derivative; 12] =
-                std::array::from_fn(|i| [vector(2 * i), vector(2 * i + 1)]);
-            let (residual, weights) = ([vector(301), vector(302)], [1e3, 300.0]);
-            sums.add(&derivatives, residual, weights);
-            equations.add_pose(&derivatives, residual, weights);
-        }
-        let sums = sums.into_equations();
-        assert_eq!(sums.triangle, equations.triangle);
-        assert_eq!(sums.right, equations.right);
-        assert_eq!(sums.cost, equations.cost);
-    }
 }
