@@ -26,7 +26,7 @@ impl Basis {
         }
     }
 
-    /// Of the causes beyond a line.
+    /// Price of the causes beyond a line.
     fn price(&self, windows: f64) -> f64 {
         match self {
             // Time and size of each.
@@ -41,7 +41,12 @@ impl Basis {
         }
     }
 
-    /// Of a bin.
+    /// Upper bound of the score of steps and knots: their residual is at least that with a constant latency per window.
+    fn max_score(&self, windows: f64) -> f64 {
+        -self.price(windows)
+    }
+
+    /// Terms of a bin.
     fn terms(&self, bin: usize, t_s: f64) -> Terms {
         match self {
             Self::Steps(times_s) => {
@@ -69,9 +74,9 @@ pub(super) struct Fit {
     pub basis: Basis,
     pub levels_s: DVector<f64>,
     information: Cholesky<f64, Dyn>,
-    /// Of the windows, relative to their standard errors (Birge 1932).
+    /// Scatter of the windows, relative to their standard errors (Birge 1932).
     scatter: f64,
-    /// Of the residuals, beyond that of constant latencies in the windows.
+    /// Square sum of the residuals, beyond that with a constant latency per window.
     square: f64,
     /// Twice the log-likelihood, minus the prices of its parameters.
     pub score: f64,
@@ -137,18 +142,26 @@ impl Fit {
 /// The likeliest latency. A line is a skew.
 pub(super) fn likeliest_shape(windows: &[Window]) -> Option<Fit> {
     let line = Fit::new(windows, Basis::Line(middle_s(windows)))?;
-    let found = [fit_steps(windows), fit_ramp(windows), fit_wander(windows), fit_load(windows)];
-    Some(found.into_iter().fold(line, Fit::or))
+    let shapes = [fit_steps, fit_ramp, fit_wander, fit_load];
+    Some(shapes.into_iter().fold(line, |best, fit| {
+        let other = fit(windows, best.score);
+        best.or(other)
+    }))
 }
 
-/// The likeliest latency with up to four steps.
-fn fit_steps(windows: &[Window]) -> Option<Fit> {
+/// The likeliest latency with up to four steps. Skips those whose score cannot exceed `min_score`.
+fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_STEPS: usize = 4;
     let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
     let between: Vec<f64> =
         windows.windows(2).map(|pair| 0.5 * (pair[0].t_s + pair[1].t_s)).collect();
+    let count = effective_count(windows);
     let (mut times_s, mut best) = (Vec::new(), None::<Fit>);
-    while times_s.len() < MAX_STEPS {
+    for steps in 1..=MAX_STEPS {
+        let min_score = best.as_ref().map_or(min_score, |best| best.score.max(min_score));
+        if Basis::Steps(vec![0.0; steps]).max_score(count) <= min_score {
+            break;
+        }
         let with = |at_s: &f64| {
             let mut with: Vec<f64> = times_s.iter().copied().chain([*at_s]).collect();
             with.sort_by(f64::total_cmp);
@@ -167,9 +180,12 @@ fn fit_steps(windows: &[Window]) -> Option<Fit> {
     best
 }
 
-/// The likeliest ramp between two constant levels.
-fn fit_ramp(windows: &[Window]) -> Option<Fit> {
+/// The likeliest ramp between two constant levels, if its score may exceed `min_score`.
+fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_TRIAL_TIMES: usize = 40;
+    if Basis::Knots(vec![0.0; 2]).max_score(effective_count(windows)) <= min_score {
+        return None;
+    }
     let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
     let stride = windows.len().div_ceil(MAX_TRIAL_TIMES).max(1);
     let times_s: Vec<f64> = windows.iter().step_by(stride).map(|window| window.t_s).collect();
@@ -183,20 +199,22 @@ fn fit_ramp(windows: &[Window]) -> Option<Fit> {
     }
 }
 
-/// The likeliest piecewise linear latency between evenly chosen windows.
-fn fit_wander(windows: &[Window]) -> Option<Fit> {
+/// The likeliest piecewise linear latency between evenly chosen windows whose score may exceed `min_score`.
+fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MIN_KNOTS: usize = 4;
     let strides = std::iter::successors(Some(1), |stride| Some(2 * stride));
     let knots = strides.map(|stride| -> Vec<f64> {
         windows.iter().step_by(stride).map(|window| window.t_s).collect()
     });
     let knots = knots.take_while(|knots| knots.len() >= MIN_KNOTS);
-    let fits = knots.filter_map(|knots| Fit::new(windows, Basis::Knots(knots)));
+    let count = effective_count(windows);
+    let knots = knots.map(Basis::Knots).filter(|basis| basis.max_score(count) > min_score);
+    let fits = knots.filter_map(|basis| Fit::new(windows, basis));
     fits.max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
 /// The likeliest latency that grows with the joint or tool speed, possibly low-pass filtered.
-fn fit_load(windows: &[Window]) -> Option<Fit> {
+fn fit_load(windows: &[Window], _: f64) -> Option<Fit> {
     const FILTER_TIMES_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
     let middle_s = middle_s(windows);
     let tried = [0, 1].into_iter().flat_map(|kind| FILTER_TIMES_S.map(|slow_s| (kind, slow_s)));
