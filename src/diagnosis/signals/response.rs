@@ -86,6 +86,17 @@ impl TimeSeries {
 
     /// Cubic Hermite. `None` outside the series and in gaps.
     fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
+        let interval = self.interval(t_s, cursor)?;
+        let mut values = [0.0; MAX_COLUMNS];
+        values.iter_mut().enumerate().take(self.columns.len()).for_each(|(column, value)| {
+            *value = self.interpolate(column, interval);
+        });
+        Some(values)
+    }
+
+    /// Row before `t_s`, fraction of the interval after it, and its length, s.
+    #[inline]
+    fn interval(&self, t_s: f64, cursor: &mut usize) -> Option<(usize, f64, f64)> {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
@@ -99,17 +110,15 @@ impl TimeSeries {
         *cursor = before;
         let (from_s, to_s) = (times[before], times[before + 1]);
         let length_s = to_s - from_s;
-        if t_s > to_s || length_s > self.longest_s {
-            return None;
-        }
-        let part = (t_s - from_s) / length_s;
-        let mut values = [0.0; MAX_COLUMNS];
-        for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
-        {
-            let ends = [column[before], column[before + 1]];
-            *value = hermite(part, ends, [slope[before] * length_s, slope[before + 1] * length_s]);
-        }
-        Some(values)
+        let is_covered = t_s <= to_s && length_s <= self.longest_s;
+        is_covered.then(|| (before, (t_s - from_s) / length_s, length_s))
+    }
+
+    #[inline]
+    fn interpolate(&self, column: usize, (before, part, length_s): (usize, f64, f64)) -> f64 {
+        let of = |values: &[f64]| [values[before], values[before + 1]];
+        let slopes = of(&self.slopes[column]).map(|slope| slope * length_s);
+        hermite(part, of(&self.columns[column]), slopes)
     }
 
     /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
@@ -137,6 +146,7 @@ impl TimeSeries {
 }
 
 /// At the fraction `part` of the interval.
+#[inline]
 fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
     let (square, cube) = (part * part, part * part * part);
     let rise = 3.0 * square - 2.0 * cube;
@@ -289,7 +299,10 @@ impl ResponseChanges {
         let WindowEnds { t_s, of_window } =
             self.ends.get_or_init(|| WindowEnds::new(&self.windows));
         let mut cursor = 0;
-        let value = |t_s: &f64| reference.at(t_s - delay_s, &mut cursor).map(|values| values[0]);
+        let value = |t_s: &f64| {
+            let interval = reference.interval(t_s - delay_s, &mut cursor)?;
+            Some(reference.interpolate(0, interval))
+        };
         let values: Vec<Option<f64>> = t_s.iter().map(value).collect();
         let (mut used, mut normal, mut right, mut total) = (0, 0.0, 0.0, 0.0);
         for (&[from, to], by) in of_window.iter().zip(&self.changes) {
