@@ -502,12 +502,25 @@ fn residual_bound(candidates: &CandidateRotations, fk: &[Rotation]) -> f64 {
     let difference = |a: usize| {
         let b = a + half;
         let angle = angle_between(&fk[a], &fk[b]);
+        let cosine_of = |a: &Rotation, b: &Rotation| a.coords.dot(&b.coords).abs();
+        let cosine = cosine_of(&fk[a], &fk[b]);
         let pairs = candidates
             .of_sample(a)
             .iter()
             .flat_map(|first| candidates.of_sample(b).iter().map(move |second| (first, second)));
-        pairs
-            .map(|(first, second)| (angle_between(first, second) - angle).abs())
+        // The angle decreases with the cosine of its half, so the nearest angles have the nearest cosines.
+        let (mut above, mut below): (Option<(f64, _, _)>, _) = (None, None);
+        for (first, second) in pairs {
+            let own = cosine_of(first, second);
+            let nearest = if own >= cosine { &mut above } else { &mut below };
+            if nearest.is_none_or(|(nearest, ..)| (own - cosine).abs() < (nearest - cosine).abs()) {
+                *nearest = Some((own, first, second));
+            }
+        }
+        [above, below]
+            .into_iter()
+            .flatten()
+            .map(|(_, first, second)| (angle_between(first, second) - angle).abs())
             .fold(std::f64::consts::PI, f64::min)
     };
     let mut squares: Vec<f64> = (0..half).map(|a| difference(a).powi(2)).collect();

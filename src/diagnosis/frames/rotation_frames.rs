@@ -32,10 +32,14 @@ impl CandidateRotations {
 
 /// Nearest candidate, and the cosine of half its angle.
 pub(crate) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
-    candidates
-        .iter()
-        .map(|candidate| (*candidate, candidate.coords.dot(&expected.coords).abs()))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
+    let mut best: Option<(&Rotation, f64)> = None;
+    for candidate in candidates {
+        let cosine = candidate.coords.dot(&expected.coords).abs();
+        if best.is_none_or(|best| cosine >= best.1) {
+            best = Some((candidate, cosine));
+        }
+    }
+    best.map(|(candidate, cosine)| (*candidate, cosine))
 }
 
 #[derive(Clone, Copy)]
