@@ -240,7 +240,7 @@ fn model_by_type(
 ) -> Option<Option<LogModel>> {
     let robot_type = clues.robot_type?;
     let named = arm_of_type(robot_type)?;
-    let candidate = found.iter().find(|candidate| candidate.robot.name == named.name)?;
+    let candidate = found.iter().find(|candidate| candidate.robot().name == named.name)?;
     let how = format!("the catalogue, by the robot type '{robot_type}' in the metadata");
     Some(Some(LogModel::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
 }

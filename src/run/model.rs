@@ -51,7 +51,7 @@ impl LogModel {
         let [mut controller_base, mut controller_tip] =
             [own(&robot.controller_base), own(&robot.controller_tip)];
         if controller_base.is_none() || controller_tip.is_none() {
-            let (base, tip) = controller_links(&robot, clues.joints);
+            let [base, tip] = controller_links(&robot, clues.joints);
             controller_base = controller_base.or_else(|| robot.link(&base?));
             controller_tip = controller_tip.or_else(|| robot.link(&tip?));
         }
@@ -85,18 +85,18 @@ pub(super) struct ModelClues<'a> {
 }
 
 /// Controller base and tip, if all catalogue arms with these joints agree.
-fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option<String>) {
+fn controller_links(robot: &Robot, joints: &[String]) -> [Option<String>; 2] {
     let own: Vec<&String> = joints.iter().filter(|joint| robot.joint(joint).is_some()).collect();
-    let arms: Vec<Robot> = catalogue::candidates_for(&own)
+    let arms: Vec<[Option<String>; 2]> = catalogue::candidates_for(&own)
         .iter()
         .filter(|candidate| candidate.names.is_complete())
-        .filter_map(catalogue::Candidate::renamed)
+        .map(catalogue::Candidate::controller_links)
         .collect();
-    let agreed = |link: fn(&Robot) -> &Option<String>| {
-        let first = link(arms.first()?);
-        arms.iter().all(|arm| link(arm) == first).then(|| first.clone()).flatten()
+    let agreed = |link: usize| {
+        let first = &arms.first()?[link];
+        arms.iter().all(|arm| arm[link] == *first).then(|| first.clone()).flatten()
     };
-    (agreed(|arm| &arm.controller_base), agreed(|arm| &arm.controller_tip))
+    [0, 1].map(agreed)
 }
 
 /// Whether trackers and maps also use this name.

@@ -103,7 +103,7 @@ fn joint_names_of_a_log_find_the_arm() {
     let candidates = catalogue::candidates_for(&ur);
     assert_eq!(candidates[0].names.matched, 6);
     assert!(candidates[0].names.is_complete());
-    let complete: Vec<&str> = candidates.iter().map(|c| c.robot.name.as_str()).collect();
+    let complete: Vec<&str> = candidates.iter().map(|c| c.robot().name.as_str()).collect();
     assert_eq!(
         complete,
         ["ur3", "ur3e", "ur5", "ur5e", "ur10", "ur10e", "ur15", "ur16e", "ur20", "ur30"]
@@ -116,7 +116,7 @@ fn a_log_with_another_prefix_finds_the_arm_under_its_own_names() {
         let mut logged: Vec<String> = (1..=7).map(|i| format!("{prefix}joint{i}")).collect();
         logged.push("gripper_finger".to_owned());
         let best = &catalogue::candidates_for(&logged)[0];
-        assert_eq!(best.robot.name, arm);
+        assert_eq!(best.robot().name, arm);
         let renamed = best.renamed().unwrap();
         let base = renamed.default_base.clone().unwrap();
         let tip = renamed.default_tip.clone().unwrap();
@@ -134,7 +134,7 @@ fn two_equal_arms_in_a_log_are_two_candidates() {
         .collect();
     let candidates = catalogue::candidates_for(&logged);
     for (candidate, base) in candidates.iter().zip(["left_fr3_link0", "right_fr3_link0"]) {
-        assert_eq!(candidate.robot, robot);
+        assert_eq!(candidate.robot(), robot);
         assert_eq!(candidate.names.logged_name("fr3_link0"), base);
     }
 }
@@ -144,7 +144,7 @@ fn six_logged_joints_do_not_match_an_arm_with_seven() {
     let six: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
     let seven: Vec<String> = (1..=7).map(|i| format!("joint_{i}")).collect();
     assert!(catalogue::candidates_for(&six)[0].names.is_complete());
-    assert_eq!(catalogue::candidates_for(&seven)[0].robot.name, "kinova_gen3_7dof");
+    assert_eq!(catalogue::candidates_for(&seven)[0].robot().name, "kinova_gen3_7dof");
     assert!(catalogue::candidates_for(&["left_wheel", "right_wheel"]).is_empty());
 }
 

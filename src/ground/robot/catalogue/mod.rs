@@ -37,18 +37,26 @@ struct Vendor {
 }
 
 /// Catalogue arm whose joint names match a log.
-#[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// Robot with its catalogue names.
-    pub robot: &'static Robot,
+    entry: &'static Entry,
     /// Mapping to the log's names.
     pub names: NameMatch,
 }
 
 impl Candidate {
+    /// Robot with its catalogue names.
+    pub fn robot(&self) -> &'static Robot {
+        self.entry.robot()
+    }
+
     /// With the log's names; `None` if not unique.
     pub fn renamed(&self) -> Option<Robot> {
-        self.robot.with_prefix_replaced(&self.names.from_prefix, &self.names.to_prefix)
+        self.robot().with_prefix_replaced(&self.names.from_prefix, &self.names.to_prefix)
+    }
+
+    /// Base and tip of the controller's poses with the log's names, without parsing the arm.
+    pub fn controller_links(&self) -> [Option<String>; 2] {
+        self.entry.controller_links.map(|link| Some(self.names.logged_name(link?)))
     }
 }
 
@@ -58,6 +66,8 @@ struct Entry {
     /// Independently movable joints.
     joint_names: Vec<&'static str>,
     joint_prefixes: Vec<String>,
+    /// Base and tip.
+    controller_links: [Option<&'static str>; 2],
     robot: OnceLock<Robot>,
 }
 
@@ -72,12 +82,15 @@ impl Entry {
             let name = table.lines().find_map(|line| quoted(line.strip_prefix("name = ")?))?;
             (!table.contains("\ntype = \"fixed\"")).then_some(name)
         };
-        let prefixes = text.lines().find_map(|line| line.strip_prefix("joint_prefixes = ["));
+        let value = |key: &str| text.lines().find_map(|line| line.strip_prefix(key));
+        let prefixes = value("joint_prefixes = [");
         let prefixes = prefixes.unwrap_or_default().trim_end_matches(']').split(", ");
         Self {
             text,
             joint_names: tables(text, "\n[[robot.joint]]").filter_map(joint_name).collect(),
             joint_prefixes: prefixes.filter_map(quoted).map(str::to_owned).collect(),
+            controller_links: ["controller_base = ", "controller_tip = "]
+                .map(|key| value(key).and_then(quoted)),
             robot: OnceLock::new(),
         }
     }
@@ -173,7 +186,7 @@ pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
             let matches = match_joint_names(&entry.joint_names, &entry.joint_prefixes, logged);
             let is_match = |names: &NameMatch| 2 * names.matched >= names.joints;
             let matches = matches.into_iter().filter(is_match);
-            matches.map(move |names| Candidate { robot: entry.robot(), names })
+            matches.map(move |names| Candidate { entry, names })
         })
         .collect();
     candidates.sort_by(|a, b| {
@@ -210,13 +223,15 @@ mod tests {
     }
 
     #[test]
-    fn names_of_joints_are_known_without_parsing() {
+    fn names_of_joints_and_links_are_known_without_parsing() {
         for entry in ENTRIES.iter() {
             let arm = entry.robot();
             let moving = |joint: &&Joint| joint.kind.has_position() && joint.mimic.is_none();
             let names = arm.joints().iter().filter(moving).map(|joint| joint.name.as_str());
             assert!(names.eq(entry.joint_names.iter().copied()), "{}", arm.name);
             assert_eq!(arm.joint_prefixes, entry.joint_prefixes);
+            let links = [&arm.controller_base, &arm.controller_tip].map(Option::as_deref);
+            assert_eq!(links, entry.controller_links, "{}", arm.name);
         }
     }
 }
