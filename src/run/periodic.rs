@@ -202,12 +202,24 @@ pub(super) struct SenderSplit {
 }
 
 /// Finds two periods with rows at nearly all ticks that explain nearly all rows. Of smooth splits, takes
-/// the most regular.
-pub(super) fn split_senders(t_s: &[f64], error: ExtrapolationError<'_>) -> Option<SenderSplit> {
+/// the most regular. `None` if every split is rougher than `max_roughness`.
+pub(super) fn split_senders(
+    t_s: &[f64],
+    error: ExtrapolationError<'_>,
+    max_roughness: f64,
+) -> Option<SenderSplit> {
     /// Maximum ratio to the least roughness.
     const MAX_ROUGHNESS_RATIO: f64 = 2.0;
-    let tried = frequent_intervals(t_s).into_iter().filter_map(|period_s| {
+    let firsts = frequent_intervals(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = complete_train(t_s, &vec![false; t_s.len()], period_s, error)?;
+        Some((period_s, first, used))
+    });
+    let firsts: Vec<(f64, Vec<usize>, Vec<bool>)> = firsts.collect();
+    // A split is at least as rough as its first train.
+    if firsts.iter().all(|(_, first, _)| roughness(first, error) > max_roughness) {
+        return None;
+    }
+    let tried = firsts.into_iter().filter_map(|(period_s, first, used)| {
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
         // A period's shortest intervals limit its rows.
         let span_s = t_s.last()? - t_s.first()?;

@@ -12,8 +12,8 @@ use crate::time::seconds;
 
 use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::periodic::{
-    MAX_EXTRAPOLATION_ERROR, MAX_UNEXPLAINED_SHARE, MIN_PUBLISHER_ROWS, SenderSplit,
-    has_one_sender, has_two_senders, roughness, split_by_periods, split_senders,
+    MAX_EXTRAPOLATION_ERROR, MAX_UNEXPLAINED_SHARE, MIN_PUBLISHER_ROWS, has_one_sender,
+    has_two_senders, roughness, split_by_periods, split_senders,
 };
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
@@ -132,7 +132,7 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
         || is_read_evenly(series, checked_rows.len());
     let split = match stamps_show_one {
         true => None,
-        false => split_senders(&stamped_s, &extrapolation_error),
+        false => split_senders(&stamped_s, &extrapolation_error, f64::INFINITY),
     };
     let stamps_show_two = split.as_ref().is_some_and(|two| has_two_senders(&stamped_s, two));
     let shows_two = stamps_show_two || (values_disagree && split.is_some());
@@ -144,17 +144,16 @@ fn detect_in_series(series: &PartSeries<'_>) -> Option<TwoPublishers> {
         return None;
     }
     // A part of the rows shows two publishers with one period.
-    let is_smoother =
-        |parts: &SenderSplit| MIN_ROUGHNESS_RATIO * parts.roughness(&extrapolation_error) <= rough;
+    let max_roughness = rough / MIN_ROUGHNESS_RATIO;
+    let smoother = |stamped_s: &[f64]| {
+        split_senders(stamped_s, &extrapolation_error, max_roughness)
+            .filter(|parts| parts.roughness(&extrapolation_error) <= max_roughness)
+    };
     let part = &stamped_s[..stamped_s.len().min(CHECKED_PART_ROWS)];
-    if !shows_two
-        && !split_senders(part, &extrapolation_error).is_some_and(|parts| is_smoother(&parts))
-    {
+    if !shows_two && smoother(part).is_none() {
         return None;
     }
-    let parts = split
-        .or_else(|| split_senders(&stamped_s, &extrapolation_error))
-        .filter(|parts| shows_two || is_smoother(parts))?;
+    let parts = if shows_two { split } else { smoother(&stamped_s) }?;
     let t_s = series.seconds();
     // Applies the periods of a part to the whole run.
     let rows = match checked_rows.len() == t_s.len() {
