@@ -149,7 +149,7 @@ pub(super) fn attribute_residual(
 ) -> Option<Attribution> {
     let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
-    let is_unread = stream.reference_known && is_unread(diagnosis);
+    let is_unread = stream.reference_known && !is_tf(arm, stream) && is_unread(diagnosis);
     let corrected = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
     // Orientations that do not follow the arm are not corrected.
     let angle = if is_unread { &proof.as_logged.angle } else { &corrected.angle };
