@@ -122,6 +122,8 @@ pub(super) enum Attribution {
     NominalModel(FkError),
     /// The residual is significant.
     Unexplained(ExceedingResidual),
+    /// Of orientations in no known encoding. Positions agree.
+    UnreadOrientations(ExceedingResidual),
     /// The residual may be noise, or due to these inconclusive rules.
     Undetermined(ExceedingResidual, Vec<&'static str>),
 }
@@ -149,7 +151,7 @@ pub(super) fn attribute_residual(
 ) -> Option<Attribution> {
     let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
-    let is_unread = stream.reference_known && !is_tf(arm, stream) && is_unread(diagnosis);
+    let is_unread = stream.reference_known && !is_tf(arm, stream) && is_unread(diagnosis, proof);
     let corrected = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
     // Orientations that do not follow the arm are not corrected.
     let angle = if is_unread { &proof.as_logged.angle } else { &corrected.angle };
@@ -201,6 +203,9 @@ pub(super) fn attribute_residual(
         return Some(Attribution::WithinNoise);
     }
     let residual = match ExceedingResidual::from_error(explained, thresholds, noise_multiple) {
+        Some(residual) if is_unread && explained.length.whole.rms < thresholds.length.warning => {
+            return Some(Attribution::UnreadOrientations(residual));
+        }
         Some(residual) if outcomes.reports_tf_residual(arm, stream, &residual) => {
             return Some(Attribution::Explained { is_reported: true });
         }
@@ -210,7 +215,6 @@ pub(super) fn attribute_residual(
         }
         Some(residual)
             if residual.is_significant_over_run(thresholds)
-                || is_unread
                 || repeats_with_configuration(diagnosis, thresholds, subjects) =>
         {
             return Some(Attribution::Unexplained(residual));
@@ -241,9 +245,13 @@ pub(super) fn attribute_residual(
     )
 }
 
-/// Whether orientations do not follow the arm in any known encoding.
-pub(super) fn is_unread(diagnosis: &PoseDiagnosis) -> bool {
+/// Whether orientations follow the arm in no known encoding.
+fn is_unread(diagnosis: &PoseDiagnosis, proof: &ResidualCheck) -> bool {
+    /// 20°: above it, no encoding is accepted.
+    const MIN_ERROR_RAD: f64 = 0.35;
+    let angle = proof.as_logged.angle.as_ref();
     matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)))
+        && angle.is_some_and(|angle| angle.whole.rms > MIN_ERROR_RAD)
 }
 
 /// Whether small changes of all links explain most of a residual.

@@ -190,6 +190,7 @@ impl CorrectionPlan {
             | Cause::Compliance
             | Cause::UnexplainedResidual
             | Cause::Disagreement { .. }
+            | Cause::UnreadOrientations
             | Cause::VaryingLatency
             | Cause::ParameterChange
             | Cause::TfDisagrees

@@ -40,6 +40,8 @@ pub enum Cause {
         /// Its size, as a clause.
         description: String,
     },
+    /// Orientations follow the arm in no known convention, positions do.
+    UnreadOrientations,
     /// Latency, s: a sample stamped *t* was true at *t − latency*.
     Latency(Measured),
     /// Rate of change of the latency, s/s.
@@ -111,6 +113,7 @@ impl Cause {
             | Cause::OtherRobot(_)
             | Cause::UnexplainedResidual
             | Cause::Disagreement { .. }
+            | Cause::UnreadOrientations
             | Cause::VaryingLatency
             | Cause::ParameterChange
             | Cause::TfDisagrees

@@ -6,7 +6,7 @@ use crate::checks::decision::not_observable;
 use crate::checks::encoding::{encoding_names, rotation_not_checked};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::residual_attribution::{
-    Attribution, CauseOutcomes, ExceedingResidual, attribute_residual, is_unread,
+    Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
 };
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{
@@ -139,9 +139,9 @@ struct AttributedStream<'a> {
 impl AttributedStream<'_> {
     fn residual(&self) -> Option<&ExceedingResidual> {
         match self.attribution.as_ref()? {
-            Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) => {
-                Some(residual)
-            }
+            Attribution::Unexplained(residual)
+            | Attribution::UnreadOrientations(residual)
+            | Attribution::Undetermined(residual, _) => Some(residual),
             _ => None,
         }
     }
@@ -220,9 +220,11 @@ fn judge(
         }
     };
     let error = match attribution {
-        Some(Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _)) => {
-            &residual.error
-        }
+        Some(
+            Attribution::Unexplained(residual)
+            | Attribution::UnreadOrientations(residual)
+            | Attribution::Undetermined(residual, _),
+        ) => &residual.error,
         _ => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
     };
     let angle = error.angle.as_ref().map(|angle| excess_rms(&angle.whole));
@@ -297,14 +299,17 @@ fn outcome(
     attributed: &AttributedStream,
     all: &[AttributedStream],
 ) -> Outcome {
-    let thresholds = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
     let settle = settle(&attributed.subject);
     let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
     let as_logged =
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match attribution {
-        Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) if at_rest => {
+        Attribution::Unexplained(residual)
+        | Attribution::UnreadOrientations(residual)
+        | Attribution::Undetermined(residual, _)
+            if at_rest =>
+        {
             let error_text = sizes(&residual.error);
             Outcome::Inconclusive(format!(
                 "off by {error_text} at rest; one configuration cannot show why; {settle}"
@@ -345,10 +350,7 @@ fn outcome(
         Attribution::Unexplained(residual) if attributed.is_mismatched() => {
             Outcome::fail(disagreement(attributed, residual))
         }
-        Attribution::Unexplained(residual)
-            if is_unread(&attributed.stream.diagnosis)
-                && residual.error.length.whole.rms < thresholds.length.warning =>
-        {
+        Attribution::UnreadOrientations(residual) => {
             Outcome::fail(unread_orientations(case, residual))
         }
         Attribution::Unexplained(residual) => {
@@ -549,7 +551,7 @@ fn unread_orientations(case: &Case, residual: &ExceedingResidual) -> Fault {
     );
     Fault {
         severity: residual.severity,
-        cause: Cause::Disagreement { description: said.clone() },
+        cause: Cause::UnreadOrientations,
         title: "orientations do not follow the arm",
         message: said,
         evidence: Evidence {

@@ -158,6 +158,7 @@ impl FindingContext<'_> {
             | Cause::ParameterChange
             | Cause::UnexplainedResidual
             | Cause::Disagreement { .. }
+            | Cause::UnreadOrientations
             | Cause::OtherRobot(_) => {
                 evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
