@@ -479,23 +479,23 @@ pub(crate) fn or_without_causes(
 ) -> SelectedModel {
     /// Of residuals, so that models with fewer causes may be likelier.
     const MAX_RATIO: f64 = 2.0;
-    let mut start = model.state.clone();
-    model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
-    let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
-    let is_near = |linear: &Linearized| {
-        let pairs = linear.streams.iter().zip(&model.linear.streams);
-        pairs.into_iter().all(|(without, with)| {
-            let [without, with] = [without, with].map(|it| rms(&it.residual[0]));
-            without < MAX_RATIO * with
-        })
-    };
+    const SAMPLES_OF_FIRST_COMPARISON: usize = 200;
     if model.causes.is_empty() {
         return model;
     }
-    let linear = Linearized::new(observations, &start, max_samples, &without.always);
-    if !is_near(&linear) {
+    let mut start = model.state.clone();
+    model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
+    let pairs = observations.iter().zip(&start.streams).zip(&model.linear.streams);
+    let mut is_near = pairs.map(|((observations, stream), with)| {
+        let stride = observations.len().div_ceil(SAMPLES_OF_FIRST_COMPARISON);
+        let without = observations.linearize(stream, &start.offsets, stride);
+        rms(&without.residual[0]) < MAX_RATIO * rms(&with.residual[0])
+    });
+    if !is_near.all(|is_near| is_near) {
         return model;
     }
+    let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
+    let linear = Linearized::new(observations, &start, max_samples, &without.always);
     let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
     let without = continue_rounds(observations, (start, &linear), &without, max_samples, rounds);
     // Rounded positions repeat with the configuration, so the noise is as correlated as without the causes.
