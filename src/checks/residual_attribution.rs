@@ -122,7 +122,7 @@ pub(super) enum Attribution {
     NominalModel(FkError),
     /// The residual is significant.
     Unexplained(ExceedingResidual),
-    /// Of orientations in no known encoding. Positions agree.
+    /// Orientations follow the arm in no known encoding, but positions agree.
     UnreadOrientations(ExceedingResidual),
     /// The residual may be noise, or due to these inconclusive rules.
     Undetermined(ExceedingResidual, Vec<&'static str>),

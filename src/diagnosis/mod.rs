@@ -23,8 +23,8 @@
 //!    and joints from positions alone, then `encodings::decoded_stream` and `encodings::rotation` that of
 //!    rotations.
 //! 4. `arm::fit` fits each stream alone from several starts (`frames`), then all together from the best.
-//!    `selection::model_selection` selects causes, `selection::tool_preference` replaces a moved reference
-//!    by a tool if both fit.
+//!    `selection::model_selection` selects causes, unless none are as likely. `selection::tool_preference` replaces
+//!    a moved reference by a tool if both fit, `selection::link_deviations` a frame by a likelier joint zero.
 //!    Joint zeros are preferred to mirrored axes, an inverse or another rotation convention that explain no more.
 //! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
 //!    explain.

@@ -197,14 +197,14 @@ fn fit_with_link_deviations(
     Some(ArmFit { model, candidates, deviations, skews: Vec::new() })
 }
 
-/// Replaces frames that no motion confirms by joint zeros that are likelier beside link deviations.
+/// Replaces frames by joint zeros that are likelier together with link deviations.
 fn prefer_zeros(
     observations: &[&PoseObservations],
     model: SelectedModel,
     candidates: CandidateCauses,
     large_offsets: &[f64],
 ) -> (SelectedModel, CandidateCauses) {
-    /// Larger frames are not linear.
+    /// In m and rad. Larger frames have nonlinear effects above link deviations; not calibrated.
     const MAX_FRAME: (f64, f64) = (0.05, 0.1);
     let is_small = |frame: &Pose, round: Option<Pose>| {
         round.is_none()
@@ -579,7 +579,7 @@ mod tests {
     #[test]
     fn in_a_small_motion_a_zero_is_likelier_than_the_tool_that_it_equals() {
         let tool = pose([0.004, 0.012, 0.009], rotation_from_rotvec(Vec3::new(0.02, -0.01, 0.02)));
-        // Smaller zeros are no fault.
+        // Rules do not report smaller zeros.
         let zeros = |found: &ArmDiagnosis| -> Vec<(usize, Measured)> {
             let zeros = found.joints.offsets.iter().enumerate();
             let chosen = zeros.filter(|(_, zero)| zero.is_chosen);

@@ -75,7 +75,8 @@ pub(super) fn diagnose_with_compliance(
     let has_large = diagnosis.streams.iter().any(has_large_residual);
     let diagnose_run = |run: &ArmRun, diagnosis: &ArmDiagnosis| {
         let fitted = has_large.then(|| run.fit_compliance(diagnosis)).flatten();
-        fitted.filter(&is_distinct).or_else(|| run.test_zeros_as_sag(diagnosis))
+        let zeros_as_sag = || run.test_zeros_as_sag(diagnosis).filter(&is_distinct);
+        fitted.filter(&is_distinct).or_else(zeros_as_sag)
     };
     let encoding = match &diagnosis.joints.encoding {
         Ok(encoding) if !encoding.is_as_logged() => encoding,

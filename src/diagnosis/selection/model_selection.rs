@@ -477,7 +477,7 @@ pub(crate) fn or_without_causes(
     candidates: &CandidateCauses,
     max_samples: usize,
 ) -> SelectedModel {
-    /// Of residuals, so that models with fewer causes may be likelier.
+    /// Ratio of the residuals up to which the model without causes may be likelier; not calibrated.
     const MAX_RATIO: f64 = 2.0;
     const SAMPLES_OF_FIRST_COMPARISON: usize = 200;
     if model.causes.is_empty() {
