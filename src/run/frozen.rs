@@ -4,7 +4,9 @@
 //! maximum latency. Removal makes other faults estimable. Spans next to a rest are found later, when speeds
 //! give the lag.
 
-use crate::geometry::Vec3;
+use std::ops::Range;
+
+use crate::geometry::{Pose, Vec3};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
 
@@ -110,19 +112,9 @@ impl PoseSource {
         joints: &JointTrack,
         lags_s: &[f64],
     ) -> Option<PoseTrack> {
-        /// Ratio of the jump to the next steps, and their number.
-        const MIN_STEP_RATIO: f64 = 5.0;
-        const STEPS: usize = 10;
-        let xyz = &self.track.xyz;
-        let step = |row: usize| (xyz[row] - xyz[row - 1]).norm();
-        let jumps = |&(_, last, _): &FrozenSamples| {
-            let next = last + 2..(last + 2 + STEPS).min(xyz.len());
-            let longest = next.clone().map(step).fold(0.0, f64::max);
-            !next.is_empty() && step(last + 1) > MIN_STEP_RATIO * longest
-        };
         let mut stuck = self.frozen_at_lags(joints, lags_s);
-        stuck.retain(jumps);
-        let kept = kept_samples(&self.track, &stuck);
+        stuck.retain(|(_, last, _)| jumps_after(&self.track, *last));
+        let kept = kept_samples(&self.track, stuck.iter().map(|&(first, last, _)| (first, last)));
         let left = kept.iter().filter(|kept| **kept).count();
         if stuck.is_empty() || 2 * left < kept.len() {
             return None;
@@ -132,6 +124,15 @@ impl PoseSource {
         Some(track)
     }
 
+    /// Its track without the spans with one value after which it jumps, whether the arm moves or not.
+    pub fn track_without_jumps(&self) -> PoseTrack {
+        let mut spans = constant_spans(&self.track);
+        spans.retain(|(_, last)| jumps_after(&self.track, *last));
+        let mut track = self.track.clone();
+        retain_samples(&mut track, &kept_samples(&self.track, spans.into_iter()));
+        track
+    }
+
     /// Whether it repeats a value for a long time.
     pub fn has_constant_span(&self) -> bool {
         !constant_spans(&self.track).is_empty()
@@ -139,7 +140,7 @@ impl PoseSource {
 
     /// How far the joints move its link during its single value, m. `None` if it has several, or the joints
     /// do not move the link.
-    pub fn unfollowed_motion_m(&self, joints: &JointTrack) -> Option<f64> {
+    pub fn motion_at_single_value_m(&self, joints: &JointTrack) -> Option<f64> {
         let is_constant = (1..self.track.t_s.len()).all(|row| is_same(&self.track, 0, row));
         is_constant.then(|| self.fk_motion_m(joints)).filter(|moved_m| *moved_m > MAX_REST_MOTION)
     }
@@ -153,18 +154,23 @@ impl PoseSource {
 
     /// Largest distance of the tool from its first place by FK, over the time of the stream, m.
     fn fk_motion_m(&self, joints: &JointTrack) -> f64 {
-        const MAX_POSES: usize = 64;
-        let Self { track, chain, columns, .. } = self;
-        let [first_s, .., last_s] = track.t_s.as_slice() else { return 0.0 };
+        let [first_s, .., last_s] = self.track.t_s.as_slice() else { return 0.0 };
         let row_of = |t_s: f64| joints.t_s.partition_point(|at_s| *at_s < t_s);
-        let rows = row_of(*first_s)..row_of(*last_s);
+        let poses = self.fk_poses(joints, row_of(*first_s)..row_of(*last_s));
+        let from_first =
+            |pose: &Pose| (pose.translation.vector - poses[0].translation.vector).norm();
+        poses.iter().map(from_first).fold(0.0, f64::max)
+    }
+
+    /// Poses of its link by FK at some of these rows.
+    pub(super) fn fk_poses(&self, joints: &JointTrack, rows: Range<usize>) -> Vec<Pose> {
+        const MAX_POSES: usize = 64;
         let pose = |row: usize| {
-            let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
-            chain.forward(&q).translation.vector
+            let q: Vec<f64> = self.columns.iter().map(|&column| joints.row(row)[column]).collect();
+            self.chain.forward(&q)
         };
-        let places: Vec<_> =
-            rows.clone().step_by(rows.len().div_ceil(MAX_POSES).max(1)).map(pose).collect();
-        places.iter().map(|place| (place - places[0]).norm()).fold(0.0, f64::max)
+        let stride = rows.len().div_ceil(MAX_POSES).max(1);
+        rows.step_by(stride).map(pose).collect()
     }
 }
 
@@ -183,7 +189,7 @@ impl Run {
             is_whole_stream: false,
             joint_motion,
         }));
-        let kept = kept_samples(&source.track, &found);
+        let kept = kept_samples(&source.track, found.iter().map(|&(first, last, _)| (first, last)));
         retain_samples(&mut source.track, &kept);
     }
 }
@@ -191,10 +197,13 @@ impl Run {
 /// First and last sample of a span, and the motion of the fastest joint.
 type FrozenSamples = (usize, usize, f64);
 
-/// All but the repeats within spans.
-fn kept_samples(track: &PoseTrack, spans: &[FrozenSamples]) -> Vec<bool> {
+/// All but the repeats within spans. If it jumps to the value, as a tracker's zeros without a target, that is no sample either.
+fn kept_samples(track: &PoseTrack, spans: impl Iterator<Item = (usize, usize)>) -> Vec<bool> {
     let mut kept = vec![true; track.t_s.len()];
-    spans.iter().for_each(|&(first, last, _)| kept[first + 1..=last].fill(false));
+    for (first, last) in spans {
+        let repeats = first + usize::from(!jumps_to(track, first))..=last;
+        kept[repeats].fill(false);
+    }
     kept
 }
 
@@ -207,7 +216,7 @@ fn rest_limits(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(rest).collect()
 }
 
-fn value_range(of: impl Iterator<Item = f64> + Clone) -> f64 {
+pub(super) fn value_range(of: impl Iterator<Item = f64> + Clone) -> f64 {
     of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
@@ -260,7 +269,29 @@ fn motion_at_lags(
         .filter(|it| it.is_finite())
 }
 
-fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
+/// Whether the position jumps after the sample `last`, compared with the next steps.
+pub(super) fn jumps_after(track: &PoseTrack, last: usize) -> bool {
+    let rows = last + 2..(last + 2 + JUMP_STEPS).min(track.xyz.len());
+    is_jump(track, last + 1, rows)
+}
+
+/// Whether the position jumps to the sample `first`, compared with the previous steps.
+fn jumps_to(track: &PoseTrack, first: usize) -> bool {
+    is_jump(track, first, first.saturating_sub(JUMP_STEPS).max(1)..first)
+}
+
+/// Steps that a jump is compared with.
+const JUMP_STEPS: usize = 10;
+
+/// Whether the step to `row` is a jump, compared with the steps to `others`.
+fn is_jump(track: &PoseTrack, row: usize, others: Range<usize>) -> bool {
+    const MIN_STEP_RATIO: f64 = 5.0;
+    let step = |row: usize| (track.xyz[row] - track.xyz[row - 1]).norm();
+    let longest = others.clone().map(step).fold(0.0, f64::max);
+    !others.is_empty() && step(row) > MIN_STEP_RATIO * longest
+}
+
+pub(super) fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
     track.xyz[a] == track.xyz[b]
         && match &track.orientation {
             Orientations::Rotations(rotations) => rotations[a] == rotations[b],
@@ -269,7 +300,7 @@ fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
         }
 }
 
-fn retain_samples(track: &mut PoseTrack, kept: &[bool]) {
+pub(super) fn retain_samples(track: &mut PoseTrack, kept: &[bool]) {
     retain(&mut track.t_s, kept);
     retain(&mut track.xyz, kept);
     match &mut track.orientation {

@@ -22,6 +22,7 @@ mod models;
 mod namespace;
 mod norm_defects;
 mod not_audited;
+mod objects;
 mod outliers;
 mod part_series;
 mod periodic;

@@ -35,10 +35,12 @@ pub enum NotAuditedReason {
         /// Tool motion by the joints, m.
         moved_m: f64,
     },
-    /// Stationary bodies that are not named as the tool: objects of a scene.
+    /// Bodies that rest while the joints move the tool, and are not named as the tool: objects of a scene.
     SceneObjects {
-        /// Their names.
-        names: Vec<String>,
+        /// Their child frames.
+        bodies: Vec<String>,
+        /// Tool motion by the joints meanwhile, m.
+        moved_m: f64,
     },
     /// The base moves in its frame, without logged transforms.
     BaseMoves {

@@ -14,7 +14,7 @@ use crate::diagnosis::{
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, MIN_FOLLOWER_CORRELATION, NotAudited, NotAuditedReason,
-    PoseSource, Role, Run, SharedStream, Stream, with_key,
+    PoseSource, Role, Run, SharedStream, with_key,
 };
 use crate::stream::{Orientations, PoseTrack};
 
@@ -25,7 +25,7 @@ pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
     align_moving_bases(run, max_lag_s);
     resolve_shared_transforms(run);
     resolve_shared_streams(run, max_lag_s);
-    exclude_unmoved(run);
+    exclude_unmoved(run, max_lag_s);
     resolve_candidates(run, max_lag_s);
     exclude_moving_bases(run, max_lag_s);
     resolve_leading_arms(run, max_lag_s);
@@ -95,12 +95,14 @@ pub(crate) fn common_diagnosis_count(arm: &Arm) -> usize {
 }
 
 /// Lags at which a stream with constant spans may follow the moving arm; empty if none.
-fn likely_lags(arm: &Arm, stream: &PoseStream, max_lag_s: f64) -> Vec<f64> {
+fn likely_lags(run: &Run, arm: &Arm, source: &PoseSource, max_lag_s: f64) -> Vec<f64> {
     /// Minimum speed correlation to trust the lag.
     const MIN_CORRELATION: f64 = 0.3;
     /// Minimum correlation at other lags, as a share of the best.
     const MIN_CORRELATION_RATIO: f64 = 0.7;
-    let peaks = candidate_lags(&arm.joints, stream, max_lag_s);
+    let track = source.track_without_jumps();
+    let stream = PoseStream { track: &track, ..run.pose_stream(source) };
+    let peaks = candidate_lags(&arm.joints, &stream, max_lag_s);
     let best = peaks.first().map_or(0.0, |peak| peak.correlation);
     let is_likely = |peak: &&LagPeak| {
         best >= MIN_CORRELATION && peak.correlation >= MIN_CORRELATION_RATIO * best
@@ -115,7 +117,7 @@ fn follower_peak(run: &Run, arm: &Arm, source: &PoseSource, max_lag_s: f64) -> O
     if !source.has_constant_span() {
         return Some(peak);
     }
-    let lags_s = likely_lags(arm, &stream, max_lag_s);
+    let lags_s = likely_lags(run, arm, source, max_lag_s);
     let moving = source.track_without_stuck_spans(&arm.joints, &lags_s);
     let without_stuck = moving.and_then(|track| {
         best_lag_peak(&arm.joints, &PoseStream { track: &track, ..stream }, max_lag_s)
@@ -132,7 +134,7 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             if found.moving_base.is_some() || !found.has_constant_span() {
                 continue;
             }
-            let lags_s = likely_lags(of, &run.pose_stream(found), max_lag_s);
+            let lags_s = likely_lags(run, of, found, max_lag_s);
             run.remove_frozen_at_lags(arm, source, &lags_s);
         }
     }
@@ -495,52 +497,31 @@ fn arm_followed(run: &Run, named: &[SharedStream], shared: &SharedStream) -> Opt
     (has_streams && !follows(arm, &is_named_after)).then_some(arm)
 }
 
-/// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.
-fn exclude_unmoved(run: &mut Run) {
+/// Excludes streams with a pose that rests while the joints move the tool. Without a name of the tool, they are of objects;
+/// otherwise they are stationary, or from another time.
+fn exclude_unmoved(run: &mut Run, max_lag_s: f64) {
+    let role = |source: &PoseSource| run.streams.get(source.stream).map(|stream| stream.role);
+    let mut objects = Vec::new();
     let unmoved = run.arms.iter().flat_map(|arm| {
-        let of = |source: &PoseSource| {
-            let moved_m = source.unfollowed_motion_m(&arm.joints)?;
-            Some((source.stream, source.track.t_s.len(), moved_m))
+        let of = |source: &PoseSource| match role(source)? {
+            Role::Pose => {
+                let moved_m = source.motion_at_single_value_m(&arm.joints)?;
+                let samples = source.track.t_s.len();
+                Some((source.stream, NotAuditedReason::NeverChanges { samples, moved_m }))
+            }
+            Role::Candidate { .. } if source.moving_base.is_none() && arm.trajectory.is_none() => {
+                objects.push((source.stream, run.motion_beside_rest_m(arm, source, max_lag_s)?));
+                None
+            }
+            _ => None,
         };
-        let is_said = |source: &&PoseSource| {
-            let role = run.streams.get(source.stream).map(|stream| stream.role);
-            matches!(role, Some(Role::Pose | Role::Candidate { presumed: true }))
-        };
-        arm.poses.iter().filter(is_said).filter_map(of)
+        arm.poses.iter().filter_map(of).collect::<Vec<_>>()
     });
-    let unmoved: Vec<(usize, usize, f64)> = unmoved.collect();
-    // A simulator's topic has all bodies of its world.
-    let mut bodies: HashMap<&str, HashSet<&str>> = HashMap::new();
-    for Stream { topic, child_frame_id, .. } in &run.streams {
-        bodies.entry(topic).or_default().insert(child_frame_id);
-    }
-    let is_object = |stream: usize| {
-        let Stream { topic, child_frame_id, role, .. } = &run.streams[stream];
-        *role != Role::Pose && !child_frame_id.is_empty() && bodies[topic.as_str()].len() > 1
-    };
-    let (objects, unmoved): (Vec<_>, Vec<_>) =
-        unmoved.into_iter().partition(|(stream, ..)| is_object(*stream));
-    let mut by_topic: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    for (stream, ..) in objects {
-        by_topic.entry(run.streams[stream].topic.clone()).or_default().push(stream);
-    }
-    let (mut objects, mut scenes) = (HashSet::new(), Vec::new());
-    for streams in by_topic.into_values() {
-        let name = |stream: &usize| run.streams[*stream].child_frame_id.clone();
-        let names: Vec<String> = streams.iter().map(name).collect();
-        for &stream in &streams {
-            run.clear_role(stream, "an object of the scene: it never moves".to_owned());
-        }
-        let why = NotAuditedReason::SceneObjects { names };
-        scenes.push(NotAudited { stream: streams[0], reason: why });
-        objects.extend(streams);
-    }
-    run.remove_sources(&objects);
-    run.not_audited.extend(scenes);
-    let excluded = unmoved.into_iter().map(|(stream, samples, moved_m)| {
-        let reason = "all its poses are the same while the joints move the tool".to_owned();
-        (NotAudited { stream, reason: NotAuditedReason::NeverChanges { samples, moved_m } }, reason)
-    });
+    let unmoved: Vec<(usize, NotAuditedReason)> = unmoved.collect();
+    run.exclude_objects(&objects);
+    let why = "all its poses are the same while the joints move the tool";
+    let excluded =
+        unmoved.into_iter().map(|(stream, reason)| (NotAudited { stream, reason }, why.to_owned()));
     run.exclude(excluded.collect());
 }
 

@@ -50,9 +50,12 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
         for (piece, raw) in parts_of_use(&streams[index], clock) {
             let columns = streams[index].columns.as_ref().filter(|_| !known.contains_key(raw));
             let values = columns.and_then(|columns| values_of(columns, piece));
-            let restored = values
-                .and_then(|values| RestoredStamps::restore(raw, &values))
-                .filter(|_| !are_copies_of_even_joints(raw, index, streams, clock));
+            let restored = values.and_then(|values| {
+                RestoredStamps::restore(raw, &values).filter(|restored| {
+                    restored.is_smoother_than(raw, &values)
+                        || !are_copies_of_even_joints(raw, index, streams, clock)
+                })
+            });
             if let Some(restored) = restored {
                 let group = known.len();
                 known.insert(raw.to_vec(), (group, restored));
@@ -144,18 +147,29 @@ impl RestoredStamps {
         RoundedStamps { stream, piece, tick_s, shared_rows: shared, resolution_s, group }
     }
 
+    /// Whether the values are smoother at the restored times than at the stamps. Copies of another stream's stamps are exact.
+    fn is_smoother_than(&self, raw: &[i64], values: &PartValues<'_>) -> bool {
+        let repeats = repeats(values, raw.len());
+        let residual = |nanos: &[i64]| {
+            interpolation_residual(&seconds_from(nanos, nanos[0]), values, &repeats)
+        };
+        matches!((residual(&self.nanos), residual(raw)), (Some(restored), Some(raw)) if restored < raw)
+    }
+
     /// `None` unless the stamps are multiples of a tick that hides times.
     fn restore(raw: &[i64], values: &PartValues<'_>) -> Option<Self> {
         /// Minimum share of rows with the previous stamp but new values.
         const MIN_SHARED_SHARE: f64 = 0.02;
+        /// Restored times interpolate values well, unlike two publishers that disagree. White noise has a ratio of √1.5 / √2 =
+        /// 0.87, motion far less.
+        const MAX_RESIDUAL_RATIO: f64 = 0.6;
         let first = *raw.first()?;
         if !raw.is_sorted() || raw.contains(&0) {
             return None;
         }
-        let t_s: Vec<f64> =
-            raw.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect();
+        let t_s = seconds_from(raw, first);
         let grid = TickGrid::detect_with_min_tick(&t_s, MIN_TICK_S)?;
-        let repeats: Vec<bool> = (1..raw.len()).map(|row| values.is_same(row - 1, row)).collect();
+        let repeats = repeats(values, raw.len());
         let (mut shared, mut sent_again) = (0, 0);
         for (ticks, repeats) in grid.ticks.iter().zip(&repeats) {
             if *ticks == 0 {
@@ -179,7 +193,8 @@ impl RestoredStamps {
         }
         let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);
         let is_plausible = matches!(values, PartValues::Imu(_))
-            || is_smooth(&restored_s, values, &repeats).unwrap_or(!are_shared);
+            || interpolation_residual(&restored_s, values, &repeats)
+                .map_or(!are_shared, |residual| residual < MAX_RESIDUAL_RATIO);
         let mut last = i64::MIN;
         let nanos = restored_s.iter().map(|at_s| {
             last = (first + (at_s * NANOS_PER_SECOND as f64).round() as i64).max(last + 1);
@@ -190,12 +205,20 @@ impl RestoredStamps {
     }
 }
 
-/// Whether restored times interpolate new values well, unlike two publishers that disagree. `None` if too
-/// few are new.
-fn is_smooth(t_s: &[f64], values: &PartValues<'_>, repeats: &[bool]) -> Option<bool> {
+/// From `first`, s.
+fn seconds_from(nanos: &[i64], first: i64) -> Vec<f64> {
+    nanos.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect()
+}
+
+/// Whether each row but the first has the values of the previous one.
+fn repeats(values: &PartValues<'_>, rows: usize) -> Vec<bool> {
+    (1..rows).map(|row| values.is_same(row - 1, row)).collect()
+}
+
+/// Mean difference of new values from the interpolation between their neighbours, relative to their steps. `None` if too few
+/// are new.
+fn interpolation_residual(t_s: &[f64], values: &PartValues<'_>, repeats: &[bool]) -> Option<f64> {
     const MIN_NEW_VALUES: usize = 20;
-    /// White noise has a ratio of interpolation residual to step of √1.5 / √2 = 0.87, motion far less.
-    const MAX_RESIDUAL_RATIO: f64 = 0.6;
     let numbers = if matches!(values, PartValues::Poses(_)) { 3 } else { values.width() };
     let is_new = |row: &usize| *row == 0 || !repeats[row - 1];
     let rows: Vec<usize> = (0..t_s.len()).filter(is_new).collect();
@@ -212,7 +235,7 @@ fn is_smooth(t_s: &[f64], values: &PartValues<'_>, repeats: &[bool]) -> Option<b
         }
         count += 1;
     }
-    (count >= MIN_NEW_VALUES && steps > 0.0).then_some(off < MAX_RESIDUAL_RATIO * steps)
+    (count >= MIN_NEW_VALUES && steps > 0.0).then_some(off / steps)
 }
 
 /// Fits the fewest lines within half a tick of each stamp, plus a jitter margin. Returns times on them, and

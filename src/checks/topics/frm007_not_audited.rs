@@ -140,16 +140,26 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
             fix: "check why it stopped, and record it while the arm moves".to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
-        NotAuditedReason::SceneObjects { names } => NotAuditedReport {
+        NotAuditedReason::SceneObjects { bodies, moved_m } => NotAuditedReport {
             why: "scene-objects",
-            title: "objects of the scene",
-            message: format!(
-                "{} bodies never move ({}): scene objects, not the tool",
-                names.len(),
-                list_names(names)
-            ),
-            fix: "no action needed; exclude the topic from recording if it is unused".to_owned(),
-            evidence: vec![("bodies", json!(names))],
+            title: "pose of an object",
+            message: {
+                let moved = Unit::Metre.show(*moved_m);
+                match bodies.as_slice() {
+                    [] | [_] => format!(
+                        "rests while the joints move the tool by {moved}: an object, not the tool; not audited"
+                    ),
+                    all => format!(
+                        "{} bodies rest while the joints move the tool by {moved} ({}): objects, not the tool; \
+                         not audited",
+                        all.len(),
+                        list_names(all)
+                    ),
+                }
+            },
+            fix: "no action needed; if it is the tool's pose, declare it in the config file, and check why it stopped"
+                .to_owned(),
+            evidence: vec![("bodies", json!(bodies)), ("moved_m", json!(moved_m))],
         },
         NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
             why: "base-moves",

@@ -1,0 +1,162 @@
+//! Recognises poses of objects: they rest while the joints move the tool. The tool may carry them in another part of the run.
+
+use std::collections::{BTreeMap, HashSet};
+
+use crate::diagnosis::{PoseStream, best_lag_peak};
+use crate::geometry::{Vec3, angle_between};
+use crate::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
+
+use super::arm::Arm;
+use super::frozen::{is_same, jumps_after, retain_samples, value_range};
+use super::not_audited::{NotAudited, NotAuditedReason};
+use super::role::Role;
+use super::sources::PoseSource;
+use super::streams::Stream;
+use super::{MIN_FOLLOWER_CORRELATION, Run};
+
+/// Minimum duration of a rest, s.
+const MIN_DURATION_S: f64 = 1.0;
+/// Longer gaps end a rest, s.
+const MAX_GAP_S: f64 = 1.0;
+
+impl Run {
+    /// How far the joints move the tool while the pose of `source` rests, m. `None` if it may be a pose of the tool: its stamps
+    /// may be off by more than `max_lag_s` unless it follows the tool when it moves.
+    pub(super) fn motion_beside_rest_m(
+        &self,
+        arm: &Arm,
+        source: &PoseSource,
+        max_lag_s: f64,
+    ) -> Option<f64> {
+        const MIN_MOVING_SAMPLES: usize = 10;
+        let track = &source.track;
+        let rests = rests(track);
+        let moved = rests
+            .iter()
+            .filter(|rest| !may_be_frozen(track, **rest))
+            .filter_map(|rest| source.motion_during(&arm.joints, *rest, max_lag_s));
+        let moved_m = moved.reduce(f64::max)?;
+        let mut is_moving = vec![true; track.t_s.len()];
+        rests.iter().for_each(|&(first, last)| is_moving[first..=last].fill(false));
+        let mut moving = track.clone();
+        retain_samples(&mut moving, &is_moving);
+        let stream = PoseStream { track: &moving, ..self.pose_stream(source) };
+        let follows = || {
+            let peak = best_lag_peak(&arm.joints, &stream, max_lag_s);
+            peak.is_some_and(|peak| peak.correlation >= MIN_FOLLOWER_CORRELATION)
+        };
+        (moving.t_s.len() < MIN_MOVING_SAMPLES || follows()).then_some(moved_m)
+    }
+
+    /// Excludes these streams, each with the motion of the tool beside its rest. Reports those in a frame of the robot, once
+    /// per topic: a simulator's topic has all bodies of its world.
+    pub(super) fn exclude_objects(&mut self, objects: &[(usize, f64)]) {
+        let mut topics: BTreeMap<String, (usize, Vec<String>, f64)> = BTreeMap::new();
+        for &(stream, moved_m) in objects {
+            let Stream { topic, child_frame_id, role, .. } = &self.streams[stream];
+            if *role == (Role::Candidate { presumed: true }) {
+                let (_, bodies, largest_m) =
+                    topics.entry(topic.clone()).or_insert((stream, Vec::new(), 0.0));
+                bodies.push(child_frame_id.clone());
+                *largest_m = largest_m.max(moved_m);
+            }
+            let moved_mm = 1e3 * moved_m;
+            let reason =
+                format!("an object: it rests while the joints move the tool by {moved_mm:.0} mm");
+            self.clear_role(stream, reason);
+        }
+        let streams: HashSet<usize> = objects.iter().map(|(stream, _)| *stream).collect();
+        self.remove_sources(&streams);
+        self.frozen.retain(|span| !streams.contains(&span.stream));
+        let reports = topics.into_values().map(|(stream, bodies, moved_m)| NotAudited {
+            stream,
+            reason: NotAuditedReason::SceneObjects { bodies, moved_m },
+        });
+        self.not_audited.extend(reports);
+    }
+}
+
+/// First and last sample of each rest: positions and orientations stay within the noise.
+fn rests(track: &PoseTrack) -> Vec<(usize, usize)> {
+    /// Standard deviations between two samples at rest.
+    const MAX_NOISE_RATIO: f64 = 8.0;
+    /// Of the extent of the positions.
+    const MAX_EXTENT_SHARE: f64 = 0.005;
+    const MAX_TURN_RAD: f64 = 0.1;
+    let axis = |axis: usize| track.xyz.iter().map(move |xyz| xyz[axis]);
+    let noise = Vec3::from_fn(|i, _| sample_noise(&axis(i).collect::<Vec<f64>>())).norm();
+    let extent = Vec3::from_fn(|i, _| value_range(axis(i))).norm();
+    let radius = (MAX_NOISE_RATIO * noise).max(MAX_EXTENT_SHARE * extent);
+    let is_turned = |a: usize, b: usize| match &track.orientation {
+        Orientations::Rotations(all) => angle_between(&all[a], &all[b]) > MAX_TURN_RAD,
+        Orientations::Numbers(_) | Orientations::Unset(_) => false,
+    };
+    let (mut rests, mut first) = (Vec::new(), 0);
+    while first < track.t_s.len() {
+        let near = (first + 1..track.t_s.len()).take_while(|&row| {
+            track.t_s[row] - track.t_s[row - 1] < MAX_GAP_S
+                && (track.xyz[row] - track.xyz[first]).norm() <= radius
+                && !is_turned(first, row)
+        });
+        let last = first + near.count();
+        if track.t_s[last] - track.t_s[first] >= MIN_DURATION_S {
+            rests.push((first, last));
+        }
+        first = last + 1;
+    }
+    rests
+}
+
+/// Whether a publisher may have repeated its last value: afterwards it jumps, or the run ends.
+fn may_be_frozen(track: &PoseTrack, (first, last): (usize, usize)) -> bool {
+    let is_constant = (first + 1..=last).all(|row| is_same(track, first, row));
+    let is_end = last + 1 == track.t_s.len();
+    is_constant && if is_end { first > 0 } else { jumps_after(track, last) }
+}
+
+impl PoseSource {
+    /// How far FK moves the link during the rest, m, minimised over latencies. `None` if a constant tool could rest then.
+    fn motion_during(
+        &self,
+        joints: &JointTrack,
+        (first, last): (usize, usize),
+        max_lag_s: f64,
+    ) -> Option<f64> {
+        const LAGS: i32 = 8;
+        let lags_s = (-LAGS..=LAGS).map(|lag| max_lag_s * f64::from(lag) / f64::from(LAGS));
+        let span_s = |lag_s: f64| (self.track.t_s[first] - lag_s, self.track.t_s[last] - lag_s);
+        let moved = lags_s.map(|lag_s| self.fk_motion_without_rest(joints, span_s(lag_s)));
+        moved.reduce(|a, b| Some(a?.min(b?)))?
+    }
+
+    /// `None` if some constant tool rests, or the joints hardly move.
+    fn fk_motion_without_rest(&self, joints: &JointTrack, span_s: (f64, f64)) -> Option<f64> {
+        const MIN_MOTION_M: f64 = 0.05;
+        const MIN_TURN_RAD: f64 = 0.35;
+        /// Of the tool.
+        const MAX_LENGTH_M: f64 = 0.5;
+        /// Of the range of a joint. In a wrong unit, noise may move FK.
+        const MIN_RANGE_SHARE: f64 = 0.1;
+        let [from, to] =
+            [span_s.0, span_s.1].map(|at_s| joints.t_s.partition_point(|t_s| *t_s < at_s));
+        let all = 0..joints.len();
+        let moves = self.columns.iter().any(|&column| {
+            let [own, all] = [from..to, all.clone()]
+                .map(|rows| value_range(rows.map(|row| joints.row(row)[column])));
+            own > MIN_RANGE_SHARE * all
+        });
+        if from >= to || !moves {
+            return None;
+        }
+        let poses = self.fk_poses(joints, from..to);
+        let start = poses.first()?;
+        let has_rotations = matches!(self.track.orientation, Orientations::Rotations(_));
+        let moved = poses.iter().filter_map(|pose| {
+            let m = (pose.translation.vector - start.translation.vector).norm();
+            let rad = angle_between(&start.rotation, &pose.rotation);
+            let must_move = m > MIN_MOTION_M + MAX_LENGTH_M * rad;
+            (must_move || (has_rotations && rad > MIN_TURN_RAD)).then_some(m)
+        });
+        moved.reduce(f64::max)
+    }
+}
