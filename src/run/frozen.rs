@@ -93,13 +93,14 @@ pub(super) fn remove_frozen(
 }
 
 impl PoseSource {
-    /// Spans with one value while the arm moves at each of `lags_s`.
+    /// Spans with one value while the arm moves at each of `lags_s`, or to and from which the position jumps.
     fn frozen_at_lags(&self, joints: &JointTrack, lags_s: &[f64]) -> Vec<FrozenSamples> {
         let rests = rest_limits(joints);
         let of = |(first, last): (usize, usize)| {
             let hold = (self.track.t_s[first], self.track.t_s[last]);
             let moved = motion_at_lags(joints, (&self.columns, &rests), hold, lags_s)?;
-            (moved > 0.0).then_some((first, last, moved))
+            let is_apart = || jumps_to(&self.track, first) && jumps_after(&self.track, last);
+            (moved > 0.0 || is_apart()).then_some((first, last, moved))
         };
         constant_spans(&self.track).into_iter().filter_map(of).collect()
     }
