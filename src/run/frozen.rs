@@ -98,7 +98,8 @@ impl PoseSource {
         let rests = rest_limits(joints);
         let of = |(first, last): (usize, usize)| {
             let hold = (self.track.t_s[first], self.track.t_s[last]);
-            let moved = motion_at_lags(joints, (&self.columns, &rests), hold, lags_s)?;
+            let moved =
+                motion_at_lags(joints, (&self.columns, &rests), hold, lags_s).unwrap_or(0.0);
             let is_apart = || jumps_to(&self.track, first) && jumps_after(&self.track, last);
             (moved > 0.0 || is_apart()).then_some((first, last, moved))
         };

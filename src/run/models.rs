@@ -102,22 +102,31 @@ pub(super) fn select_models(
             _ => Ok(found),
         };
     }
-    let mut refusal = None;
+    let mut refusal: Option<RunError> = None;
     let mut described: Vec<LogModel> = Vec::new();
     let places: Vec<&String> = clues.descriptions.iter().map(|(place, _)| place).collect();
     let namespaces = Namespace::from_names(&places);
-    for ((place, text), namespace) in clues.descriptions.iter().zip(&namespaces) {
+    let read = |(place, text): &(String, String)| {
+        Robot::from_text(text, place)
+            .map_err(|error| refusal = refusal.take().or(Some(error.into())))
+            .ok()
+    };
+    let robots: Vec<Option<Robot>> = clues.descriptions.iter().map(read).collect();
+    // Other prefixes may not give a robot the joints of another one.
+    let is_of_another = |joint: &str, own: &Robot| {
+        own.joint(joint).is_none() && robots.iter().flatten().any(|it| it.joint(joint).is_some())
+    };
+    for (((place, _), namespace), robot) in clues.descriptions.iter().zip(&namespaces).zip(&robots)
+    {
         let found = format!("the description in the log ({place})");
         // Each of several descriptions describes the joints of its topic name.
         let is_its =
             |joint: &&String| namespace.match_names([joint.as_str()]) == NamespaceMatch::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
-        let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
-        let models = Robot::from_text(text, place).map_err(RunError::from).and_then(|robot| {
-            let given = (&robot, joints.as_slice(), true);
-            match_names(given, clues, criteria, &found)
-        });
-        match models {
+        let mut joints = if own.is_empty() { clues.joints.to_vec() } else { own };
+        let Some(robot) = robot else { continue };
+        joints.retain(|joint| !is_of_another(joint, robot));
+        match match_names((robot, &joints, true), clues, criteria, &found) {
             Ok(models) => {
                 let is_new = |model: &LogModel| {
                     !described.iter().any(|other| have_same_joints(other, model))
@@ -420,6 +429,27 @@ mod tests {
         let models = ur5e(&joints, &[]).unwrap();
         assert_eq!(models.len(), 2);
         assert!(models[1].robot.joint("right_elbow_joint").is_some());
+    }
+
+    /// With another prefix, the second description would have two of the three joints of the first.
+    #[test]
+    fn joints_of_one_description_do_not_get_another() {
+        let joints = |prefix: &str, count: usize| -> Vec<String> {
+            let joint = |i: usize| format!("{prefix}{i} revolute l{i} l{}", i + 1);
+            (1..=count).map(joint).collect()
+        };
+        let texts = [joints("a_axis_", 3), joints("b_axis_", 2)].map(|joints| {
+            let joints: Vec<&str> = joints.iter().map(String::as_str).collect();
+            crate::run::skeleton::tests::urdf(&joints)
+        });
+        let places = ["/left/robot_description", "/right/robot_description"];
+        let descriptions: Vec<(String, String)> =
+            places.map(str::to_owned).into_iter().zip(texts).collect();
+        let logged = ["a_axis_1", "a_axis_2", "a_axis_3", "b_axis_1", "b_axis_2"];
+        let logged = logged.map(str::to_owned);
+        let clues = ModelClues { joints: &logged, descriptions: &descriptions, ..no_clues() };
+        let models = select_models(&[], &clues, &NOBODY).unwrap();
+        assert_eq!(models.len(), 2);
     }
 
     #[test]

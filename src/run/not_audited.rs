@@ -42,6 +42,11 @@ pub enum NotAuditedReason {
         /// Tool motion by the joints meanwhile, m.
         moved_m: f64,
     },
+    /// Named as the tool, but its motion is another.
+    DoesNotFollow {
+        /// Highest correlation of its speed with the tool's.
+        correlation: f64,
+    },
     /// The base moves in its frame, without logged transforms.
     BaseMoves {
         /// The frame.

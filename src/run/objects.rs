@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 
-use crate::diagnosis::{PoseStream, best_lag_peak};
+use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
 use crate::geometry::{Vec3, angle_between};
 use crate::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
 
@@ -20,8 +20,8 @@ const MIN_DURATION_S: f64 = 1.0;
 const MAX_GAP_S: f64 = 1.0;
 
 impl Run {
-    /// How far the joints move the tool while the pose of `source` rests, m. `None` if it may be a pose of the tool: its stamps
-    /// may be off by more than `max_lag_s` unless it follows the tool when it moves.
+    /// How far the joints move the tool while the pose of `source` rests, m, at the latencies at which the pose follows the
+    /// tool when it moves. `None` if it may be a pose of the tool.
     pub(super) fn motion_beside_rest_m(
         &self,
         arm: &Arm,
@@ -29,23 +29,31 @@ impl Run {
         max_lag_s: f64,
     ) -> Option<f64> {
         const MIN_MOVING_SAMPLES: usize = 10;
+        /// Tried on either side for a pose that never moves.
+        const LAGS: i32 = 8;
+        /// Of the motion of the tool to the distances that count as rest. Noise of sparse samples contains their motion.
+        const MIN_MOTION_RATIO: f64 = 5.0;
         let track = &source.track;
-        let rests = rests(track);
-        let moved = rests
-            .iter()
-            .filter(|rest| !may_be_frozen(track, **rest))
-            .filter_map(|rest| source.motion_during(&arm.joints, *rest, max_lag_s));
-        let moved_m = moved.reduce(f64::max)?;
+        let radius = rest_radius(track);
+        let rests = rests(track, radius);
         let mut is_moving = vec![true; track.t_s.len()];
         rests.iter().for_each(|&(first, last)| is_moving[first..=last].fill(false));
         let mut moving = track.clone();
         retain_samples(&mut moving, &is_moving);
-        let stream = PoseStream { track: &moving, ..self.pose_stream(source) };
-        let follows = || {
-            let peak = best_lag_peak(&arm.joints, &stream, max_lag_s);
-            peak.is_some_and(|peak| peak.correlation >= MIN_FOLLOWER_CORRELATION)
+        let lags_s: Vec<f64> = if moving.t_s.len() < MIN_MOVING_SAMPLES {
+            (-LAGS..=LAGS).map(|lag| max_lag_s * f64::from(lag) / f64::from(LAGS)).collect()
+        } else {
+            let stream = PoseStream { track: &moving, ..self.pose_stream(source) };
+            let peaks = candidate_lags(&arm.joints, &stream, max_lag_s).into_iter();
+            let follows = |peak: &LagPeak| peak.correlation >= MIN_FOLLOWER_CORRELATION;
+            peaks.filter(follows).map(|peak| peak.lag_s).collect()
         };
-        (moving.t_s.len() < MIN_MOVING_SAMPLES || follows()).then_some(moved_m)
+        let moved = rests
+            .into_iter()
+            .filter(|rest| !may_be_frozen(track, *rest))
+            .filter_map(|rest| source.motion_during(&arm.joints, rest, &lags_s))
+            .filter(|moved_m| *moved_m > MIN_MOTION_RATIO * radius);
+        moved.reduce(f64::max)
     }
 
     /// Excludes these streams, each with the motion of the tool beside its rest. Reports those in a frame of the robot, once
@@ -76,17 +84,21 @@ impl Run {
     }
 }
 
-/// First and last sample of each rest: positions and orientations stay within the noise.
-fn rests(track: &PoseTrack) -> Vec<(usize, usize)> {
-    /// Standard deviations between two samples at rest.
+/// Largest distance between positions at rest.
+fn rest_radius(track: &PoseTrack) -> f64 {
+    /// Standard deviations between two samples.
     const MAX_NOISE_RATIO: f64 = 8.0;
     /// Of the extent of the positions.
     const MAX_EXTENT_SHARE: f64 = 0.005;
-    const MAX_TURN_RAD: f64 = 0.1;
     let axis = |axis: usize| track.xyz.iter().map(move |xyz| xyz[axis]);
     let noise = Vec3::from_fn(|i, _| sample_noise(&axis(i).collect::<Vec<f64>>())).norm();
     let extent = Vec3::from_fn(|i, _| value_range(axis(i))).norm();
-    let radius = (MAX_NOISE_RATIO * noise).max(MAX_EXTENT_SHARE * extent);
+    (MAX_NOISE_RATIO * noise).max(MAX_EXTENT_SHARE * extent)
+}
+
+/// First and last sample of each rest: positions and orientations stay within the noise.
+fn rests(track: &PoseTrack, radius: f64) -> Vec<(usize, usize)> {
+    const MAX_TURN_RAD: f64 = 0.1;
     let is_turned = |a: usize, b: usize| match &track.orientation {
         Orientations::Rotations(all) => angle_between(&all[a], &all[b]) > MAX_TURN_RAD,
         Orientations::Numbers(_) | Orientations::Unset(_) => false,
@@ -115,30 +127,33 @@ fn may_be_frozen(track: &PoseTrack, (first, last): (usize, usize)) -> bool {
 }
 
 impl PoseSource {
-    /// How far FK moves the link during the rest, m, minimised over latencies. `None` if a constant tool could rest then.
+    /// How far FK moves the link during the rest, m: the least of all lags. `None` if a constant tool could rest then.
     fn motion_during(
         &self,
         joints: &JointTrack,
         (first, last): (usize, usize),
-        max_lag_s: f64,
+        lags_s: &[f64],
     ) -> Option<f64> {
-        const LAGS: i32 = 8;
-        let lags_s = (-LAGS..=LAGS).map(|lag| max_lag_s * f64::from(lag) / f64::from(LAGS));
-        let span_s = |lag_s: f64| (self.track.t_s[first] - lag_s, self.track.t_s[last] - lag_s);
-        let moved = lags_s.map(|lag_s| self.fk_motion_without_rest(joints, span_s(lag_s)));
+        const MIN_OVERLAP: f64 = 0.5;
+        let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
+        let rest_s = [first, last].map(|row| self.track.t_s[row]);
+        let spans =
+            lags_s.iter().map(|lag_s| rest_s.map(|at_s| (at_s - lag_s).clamp(begin_s, end_s)));
+        let known =
+            spans.filter(|[from_s, to_s]| to_s - from_s >= MIN_OVERLAP * (rest_s[1] - rest_s[0]));
+        let moved = known.map(|span_s| self.fk_motion_without_rest(joints, span_s));
         moved.reduce(|a, b| Some(a?.min(b?)))?
     }
 
     /// `None` if some constant tool rests, or the joints hardly move.
-    fn fk_motion_without_rest(&self, joints: &JointTrack, span_s: (f64, f64)) -> Option<f64> {
+    fn fk_motion_without_rest(&self, joints: &JointTrack, span_s: [f64; 2]) -> Option<f64> {
         const MIN_MOTION_M: f64 = 0.05;
         const MIN_TURN_RAD: f64 = 0.35;
         /// Of the tool.
         const MAX_LENGTH_M: f64 = 0.5;
         /// Of the range of a joint. In a wrong unit, noise may move FK.
         const MIN_RANGE_SHARE: f64 = 0.1;
-        let [from, to] =
-            [span_s.0, span_s.1].map(|at_s| joints.t_s.partition_point(|t_s| *t_s < at_s));
+        let [from, to] = span_s.map(|at_s| joints.t_s.partition_point(|t_s| *t_s < at_s));
         let all = 0..joints.len();
         let moves = self.columns.iter().any(|&column| {
             let [own, all] = [from..to, all.clone()]

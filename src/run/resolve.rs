@@ -14,11 +14,11 @@ use crate::diagnosis::{
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, MIN_FOLLOWER_CORRELATION, NotAudited, NotAuditedReason,
-    PoseSource, Role, Run, SharedStream, with_key,
+    PoseSource, Role, Run, SharedStream, Stream, with_key,
 };
 use crate::stream::{Orientations, PoseTrack};
 
-use super::role::role_outside_arm;
+use super::role::{role_outside_arm, tool_word};
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
     resolve_tool_switching(run);
@@ -240,6 +240,7 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = LagCache { max_lag_s, poses, imus: BTreeMap::new() };
+    let mut unlike = Vec::new();
     let is_own_frame =
         |found: &&NotAudited| matches!(found.reason, NotAuditedReason::OwnFrame { .. });
     let of_own_frame = run.not_audited.iter().filter(is_own_frame);
@@ -275,12 +276,19 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
         match lead_s {
             Some(lead_s) if !follows_otherwise => run.resolve_leader(candidate, lead_s),
             _ => {
-                let peak = peak.map(|peak| peak.correlation);
-                run.resolve_candidate(candidate, peak, follows_otherwise);
+                let correlation = peak.map(|peak| peak.correlation);
+                run.resolve_candidate(candidate, correlation, follows_otherwise);
+                let Stream { role, topic, .. } = &run.streams[candidate];
+                let is_unlike = *role == Role::Unassigned && tool_word(topic).is_some();
+                if let Some(correlation) = correlation.filter(|_| is_unlike) {
+                    let reason = NotAuditedReason::DoesNotFollow { correlation };
+                    unlike.push(NotAudited { stream: candidate, reason });
+                }
             }
         }
     }
     run.remove_rejected(&candidates);
+    run.not_audited.extend(unlike);
 }
 
 /// Lead over the arm, s.

@@ -376,7 +376,7 @@ fn decisive_words(topic: &str) -> Vec<String> {
 }
 
 /// Word for a tool in the topic's last segment.
-fn tool_word(topic: &str) -> Option<&'static str> {
+pub(super) fn tool_word(topic: &str) -> Option<&'static str> {
     let name = topic.rsplit_once('/').map_or(topic, |(_, name)| name);
     find_word(&split_words(name), TOOL_WORDS)
 }

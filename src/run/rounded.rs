@@ -353,6 +353,7 @@ impl StampLine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stream::ArrayColumns;
 
     /// Rows with uniform jitter within ±`jitter_s`, without those in `gap`.
     fn sent(period_s: f64, jitter_s: f64, gap: std::ops::Range<usize>) -> Vec<f64> {
@@ -399,5 +400,23 @@ mod tests {
         let (restored, _) = straighten(&rounded(&true_s, 0.01), 0.01);
         let longest = restored.windows(2).map(|two| two[1] - two[0]).fold(0.0, f64::max);
         assert!((longest - 0.328).abs() < 0.02, "{longest}");
+    }
+
+    /// Poses at 30 Hz, with stamps among those of joint states at 100 Hz: rounded to 10 ms, or copied from the last of them.
+    #[test]
+    fn values_show_whether_stamps_are_rounded_or_copied() {
+        let true_s = sent(1.0 / 30.0, 0.0, 0..0);
+        let stamps_s = rounded(&true_s, 0.01);
+        let raw: Vec<i64> = stamps_s.iter().map(|t_s| (t_s * 1e9).round() as i64).collect();
+        for (sampled_s, is_rounded) in [(&true_s, true), (&stamps_s, false)] {
+            let mut array = ArrayColumns { width: 1, ..Default::default() };
+            for (t_s, nanos) in sampled_s.iter().zip(&raw) {
+                array.times.push(*nanos, *nanos, *nanos);
+                array.values.push((2.0 * t_s).sin());
+            }
+            let values = PartValues::Array(&array);
+            let restored = RestoredStamps::restore(&raw, &values).expect("rounded stamps");
+            assert_eq!(restored.is_smoother_than(&raw, &values), is_rounded);
+        }
     }
 }

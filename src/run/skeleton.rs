@@ -174,6 +174,10 @@ pub(super) mod tests {
 
     /// A URDF from "name type parent child".
     pub fn robot(joints: &[&str]) -> Robot {
+        Robot::from_urdf(&urdf(joints), "test").unwrap()
+    }
+
+    pub fn urdf(joints: &[&str]) -> String {
         let mut links: Vec<&str> = Vec::new();
         let mut body = String::new();
         for joint in joints {
@@ -193,7 +197,7 @@ pub(super) mod tests {
         links.sort_unstable();
         links.dedup();
         let links: String = links.iter().map(|link| format!("<link name=\"{link}\"/>")).collect();
-        Robot::from_urdf(&format!("<robot name=\"r\">{links}{body}</robot>"), "test").unwrap()
+        format!("<robot name=\"r\">{links}{body}</robot>")
     }
 
     const ARM: [&str; 6] = [

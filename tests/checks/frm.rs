@@ -13,9 +13,10 @@ use serde_json::Value;
 use crate::checks::case::ExpectedEstimate::{self, AmountWithoutInterval, Frame};
 use crate::checks::case::ExpectedSubject;
 use crate::checks::case::{Expected, Log, cases, error, info, single_finding, warning};
-use crate::checks::recording::{Field, Message};
+use crate::checks::recording::{Field, Message, carry, freeze_samples, rename_topic};
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
 
+const OBJECT: &str = "/workpiece/pose";
 const BASE: ExpectedSubject = ExpectedSubject::Frame(POSE, "base");
 const TIP: ExpectedSubject = ExpectedSubject::Frame(POSE, "tool0");
 const TIP_OF_TF: ExpectedSubject = ExpectedSubject::Frame(TF, "tool0");
@@ -182,6 +183,22 @@ cases! {
         log.edit = Some(|messages| crate::checks::recording::rename_frame(messages, POSE, 10));
     } => warning(ExpectedSubject::Topic(POSE), ExpectedEstimate::None);
     FRM007 a_pose_in_the_base: |_| () => NoFindings;
+    FRM007 an_object_that_the_arm_carries: |log| {
+        log.edit = Some(|messages| {
+            carry(messages, POSE, 3.0, 5.0);
+            rename_topic(messages, POSE, OBJECT);
+        });
+    } => info(ExpectedSubject::Topic(OBJECT), ExpectedEstimate::None);
+    FRM007 an_object_that_never_moves: |log| {
+        log.edit = Some(|messages| {
+            freeze_samples(messages, POSE, -1.0, 9.0);
+            rename_topic(messages, POSE, OBJECT);
+        });
+    } => info(ExpectedSubject::Topic(OBJECT), ExpectedEstimate::None);
+    FRM007 a_late_pose_without_a_name_is_no_object: |log| {
+        log.run.pose.timing.latency_s = 2.5;
+        log.edit = Some(|messages| rename_topic(messages, POSE, OBJECT));
+    } => OnlyOtherFinding("LAT001");
     FRM007 a_pose_in_an_unconnected_world_frame: |log| {
         log.run.motion = Motion::Continuous;
         log.run.pose.frame_id = "mocap_world".to_owned();

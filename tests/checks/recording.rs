@@ -342,6 +342,12 @@ pub fn set_stamp(message: &mut Message, stamp: [u8; 8]) {
     }
 }
 
+pub fn rename_topic(messages: &mut [Message], from: &str, to: &str) {
+    for message in messages.iter_mut().filter(|message| message.topic == from) {
+        message.topic = to.to_owned();
+    }
+}
+
 /// Changes the frame of every `step`th message of `topic`.
 pub fn rename_frame(messages: &mut [Message], topic: &str, step: usize) {
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
@@ -367,6 +373,48 @@ pub fn freeze_samples(messages: &mut [Message], topic: &str, from_s: f64, to_s: 
             let Field::Xyz(at, _) = field else { continue };
             let numbers = *first.get_or_insert(message.floats(at));
             message.set_floats(at, &numbers);
+        }
+    }
+}
+
+/// Poses of an object: noise at rest, except while the arm carries it from `from_s` to `to_s`.
+pub fn carry(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
+    const NOISE_M: f64 = 2e-4;
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    let mut own: Vec<&mut Message> =
+        messages.iter_mut().filter(|message| message.topic == topic).collect();
+    let row_at = |at_s: f64| {
+        own.partition_point(|message| ((message.log_ns - start_ns) as f64) < 1e9 * at_s)
+    };
+    let [first, last] = [from_s, to_s].map(row_at);
+    let pose_of = |message: &Message| {
+        let at = message.fields().into_iter().find_map(|field| match field {
+            Field::Xyz(at, _) => Some(at),
+            _ => None,
+        });
+        at.map(|at| (at, message.floats::<7>(at)))
+    };
+    let [before, after] = [first, last].map(|row| pose_of(own[row]).expect("a pose").1);
+    for (row, message) in own.iter_mut().enumerate() {
+        let Some((at, _)) = pose_of(message) else { continue };
+        let mut rest = if row < first { before } else { after };
+        rest[0] += NOISE_M * (row as f64).sin();
+        if !(first..last).contains(&row) {
+            message.set_floats(at, &rest);
+        }
+    }
+}
+
+/// Sets the poses of `topic` received in one of `spans_s` to those of a tracker that lost its target: zero, not rotated.
+pub fn lose_target(messages: &mut [Message], topic: &str, spans_s: &[(f64, f64)]) {
+    let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
+    for message in messages.iter_mut().filter(|message| message.topic == topic) {
+        let at_s = 1e-9 * (message.log_ns - start_ns) as f64;
+        for field in message.fields() {
+            let Field::Xyz(at, _) = field else { continue };
+            if spans_s.iter().any(|&(from_s, to_s)| (from_s..to_s).contains(&at_s)) {
+                message.set_floats(at, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+            }
         }
     }
 }

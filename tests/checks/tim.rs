@@ -9,8 +9,8 @@ use crate::checks::case::{
     Expected, ExpectedSubject, Log, cases, error, info, single_finding, summary, warning,
 };
 use crate::checks::recording::{
-    Message, displace, drop_messages, freeze_joints, freeze_samples, repeat_samples, set_stamp,
-    shift_stamps,
+    Message, displace, drop_messages, freeze_joints, freeze_samples, lose_target, rename_topic,
+    repeat_samples, set_stamp, shift_stamps,
 };
 use Expected::{NoFindings, OnlyOtherFinding, Skipped};
 use ExpectedSubject::{Run, Topic};
@@ -130,6 +130,13 @@ cases! {
     TIM007 a_pose_that_is_always_zero: |log| {
         log.edit = Some(|messages| freeze_samples(messages, POSE, -1.0, 9.0));
     } => error(Topic(POSE), AmountWithoutInterval(7.96, 0.05));
+    TIM007 a_tracker_that_loses_its_target: |log| {
+        log.run.pose.frame_id = "mocap".to_owned();
+        log.edit = Some(|messages| {
+            lose_target(messages, POSE, &[(1.5, 2.5), (4.0, 4.6), (5.5, 6.2)]);
+            rename_topic(messages, POSE, TRACKER);
+        });
+    } => error(Topic(TRACKER), AmountWithoutInterval(0.99, 0.05));
     TIM007 a_moving_pose_passes: |log| log.run.pose.timing.rate_hz = 50.0 => NoFindings;
     TIM007 a_resting_arm_is_not_reported_as_frozen: |log| {
         log.run.motion = Motion::AtRest;
@@ -242,12 +249,6 @@ cases! {
 
 /// A topic whose name does not indicate its role.
 const TRACKER: &str = "/tracker/rigid_body";
-
-fn rename_topic(messages: &mut [Message], from: &str, to: &str) {
-    for message in messages.iter_mut().filter(|message| message.topic == from) {
-        message.topic = to.to_owned();
-    }
-}
 
 /// Moves all stamps to a clock that is ahead of the recorder's by `offset_s`.
 fn set_clock_offset(run: &mut Scenario, offset_s: f64) {

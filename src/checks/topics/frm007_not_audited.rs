@@ -161,6 +161,17 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("bodies", json!(bodies)), ("moved_m", json!(moved_m))],
         },
+        NotAuditedReason::DoesNotFollow { correlation } => NotAuditedReport {
+            why: "does-not-follow",
+            title: "pose does not follow the arm",
+            message: format!(
+                "named as the tool, but does not move like it by FK (speed correlation {correlation:.2}); not audited"
+            ),
+            fix: "check that it is of this arm, and of the same time as the joint states; if it is not of the tool, set its \
+                  role in the config file to 'ignored'"
+                .to_owned(),
+            evidence: vec![("correlation", json!(correlation))],
+        },
         NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
             why: "base-moves",
             title: "arm base moves in the frame of the poses",
