@@ -52,19 +52,17 @@ pub struct FrameRule {
 
 pub fn judge(case: &Case, end: &FrameRule) -> Vec<SubjectResult> {
     let judged = case.evidence.robots.iter().flat_map(|arm| {
-        let residual_m = residual_attribution::largest_residual_m(arm);
         arm.poses.iter().enumerate().map(move |(index, stream)| {
             let subject = arm.frame(stream.topic(), (end.frame)(stream));
-            judge_stream(case, (arm, residual_m), index, end, subject).within(stream.span)
+            judge_stream(case, arm, index, end, subject).within(stream.span)
         })
     });
     judged.collect()
 }
 
-/// `residual_m` is the largest of the arm.
 fn judge_stream(
     case: &Case,
-    (arm, residual_m): (&ArmEvidence, f64),
+    arm: &ArmEvidence,
     index: usize,
     end: &FrameRule,
     subject: Subject,
@@ -77,13 +75,13 @@ fn judge_stream(
     let moved = (end.changes)(diagnosis);
     let change = changes::judge_frame_change(case, arm, end.name, moved, &thresholds);
     changes::judge_with_change(subject, change, |subject| {
-        judge_constant(case, (arm, residual_m), index, end, subject)
+        judge_constant(case, arm, index, end, subject)
     })
 }
 
 fn judge_constant(
     case: &Case,
-    (arm, residual_m): (&ArmEvidence, f64),
+    arm: &ArmEvidence,
     index: usize,
     end: &FrameRule,
     subject: Subject,
@@ -99,13 +97,14 @@ fn judge_constant(
         (Err(_), Some(why)) => return SubjectResult::new(subject, unjudged(arm, why)),
         (Err(why), None) => {
             let outcome = match reported() {
-                Some((joint, _)) => reported_instead(arm, residual_m, *joint),
+                Some((joint, _)) => reported_instead(arm, stream, *joint),
                 None => not_observable(why, settle(arm)),
             };
             return SubjectResult::new(subject, outcome);
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
+    let residual_m = residual_attribution::residual_m(stream);
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
         (Decision::Fail(_), Some(_)) if arm.is_trajectory => {
             Outcome::fail((end.fault)(arm, stream, frame, Severity::Info))
@@ -136,7 +135,7 @@ fn judge_constant(
         }
         (Decision::Pass, None) => Outcome::pass(),
         (decision, None) => match reported().filter(|_| !frame.is_chosen) {
-            Some((joint, _)) => reported_instead(arm, residual_m, *joint),
+            Some((joint, _)) => reported_instead(arm, stream, *joint),
             None => Outcome::Inconclusive(undecided_reason(arm, &decision, frame)),
         },
     };
@@ -151,8 +150,14 @@ fn unjudged(arm: &ArmEvidence, why: &str) -> Outcome {
     Outcome::Skipped(arm.arm_or_body(why.to_owned(), to_settle))
 }
 
-fn reported_instead(arm: &ArmEvidence, residual_m: f64, joint: usize) -> Outcome {
-    if let Some(why) = residual_attribution::residual_doubt(residual_m, 0.0) {
+fn reported_instead(
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<PoseEvidence>,
+    joint: usize,
+) -> Outcome {
+    if let Some(why) =
+        residual_attribution::residual_doubt(residual_attribution::residual_m(stream), 0.0)
+    {
         return Outcome::Inconclusive(why);
     }
     let subject = arm.joint(joint);

@@ -335,7 +335,7 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
             evaluation.enter(rule, judged, settings);
         }
     }
-    withdraw::withdraw_findings_within_residual(&mut evaluation);
+    withdraw::withdraw_findings_within_residual(case, &mut evaluation);
     withdraw::withdraw_findings_on_disagreement(case, &mut evaluation);
     evaluation.observability = observability::observability(case, &mut evaluation.checks);
     rank(&mut evaluation.findings);

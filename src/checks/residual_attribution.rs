@@ -509,18 +509,26 @@ const MIN_UNEXPLAINED_M: f64 = 5e-3;
 /// A cause is reported despite the residual if its effect is this multiple of it.
 const MIN_EFFECT_RATIO: f64 = 10.0;
 
-/// Largest residual of the pose streams, rms m.
-pub(super) fn largest_residual_m(arm: &ArmEvidence) -> f64 {
-    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    residual.map(|residual| residual.excess_m.value).fold(0.0, f64::max)
+/// Residual of a stream, rms m; 0 if unknown.
+pub(super) fn residual_m(stream: &StreamEvidence<PoseEvidence>) -> f64 {
+    stream.diagnosis.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value)
+}
+
+/// Smallest residual of the pose streams that are not computed from the joint states, rms m: if one follows FK, the model is
+/// right.
+fn smallest_residual_m(arm: &ArmEvidence) -> f64 {
+    let known = |stream: &&StreamEvidence<PoseEvidence>| {
+        !stream.diagnosis.is_derived && stream.diagnosis.residual.is_ok()
+    };
+    arm.poses.iter().filter(known).map(residual_m).reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Reason for not reporting a cause of this effect: an unexplained residual of the model could produce it.
 pub(super) fn model_doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
-    residual_doubt(largest_residual_m(arm), effect_m)
+    residual_doubt(smallest_residual_m(arm), effect_m)
 }
 
-/// The same, from the [`largest_residual_m`].
+/// The same, from the residual.
 pub(super) fn residual_doubt(residual_m: f64, effect_m: f64) -> Option<String> {
     (residual_m > MIN_UNEXPLAINED_M && effect_m < MIN_EFFECT_RATIO * residual_m).then(|| {
         let residual = Unit::Metre.show(residual_m);

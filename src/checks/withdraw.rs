@@ -1,6 +1,7 @@
 //! Withdraws findings of other rules that an unexplained residual (MDL001) could produce.
 
 use crate::checks::{Case, Evaluation};
+use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
 /// Minimum ratio of a cause's effect to the unexplained residual. `None` if the residual does not affect
@@ -40,8 +41,8 @@ impl UnexplainedResidual {
         }
     }
 
-    /// Whether the residual could produce this finding on its stream or a joint.
-    fn could_cause(&self, finding: &Finding) -> bool {
+    /// Whether the residual could produce this finding on its stream, or on a joint of `arm` unless another stream shows it.
+    fn could_cause(&self, finding: &Finding, arm: Option<&ArmEvidence>) -> bool {
         let Subject { robot, topic, .. } = &finding.subject;
         let is_same_subject =
             self.subject.robot == *robot && (topic.is_none() || self.subject.topic == *topic);
@@ -54,20 +55,35 @@ impl UnexplainedResidual {
             Cause::JointZero { offset, is_prismatic: false } => offset.value.abs(),
             _ => f64::INFINITY,
         };
+        let is_within = |length_m: f64, angle_rad: f64| {
+            effect_m < times * length_m || turn_rad < MIN_ZERO_ANGLE_RATIO * angle_rad
+        };
+        let is_shown_by_another = || {
+            let poses = arm.into_iter().flat_map(|arm| &arm.poses);
+            let mut others = poses.filter(|stream| {
+                self.subject.topic.as_deref() != Some(stream.topic())
+                    && !stream.diagnosis.is_derived
+            });
+            others.any(|stream| {
+                let residual = stream.diagnosis.residual.as_ref();
+                residual.is_ok_and(|it| !is_within(it.excess_m.value, it.excess_rad.value))
+            })
+        };
         is_same_subject
-            && (effect_m < times * self.length_m
-                || turn_rad < MIN_ZERO_ANGLE_RATIO * self.angle_rad)
+            && is_within(self.length_m, self.angle_rad)
+            && !(topic.is_none() && is_shown_by_another())
     }
 }
 
 /// Makes findings inconclusive if their effect is small next to an unexplained residual.
-pub(super) fn withdraw_findings_within_residual(evaluation: &mut Evaluation) {
+pub(super) fn withdraw_findings_within_residual(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let unexplained: Vec<UnexplainedResidual> =
         findings.iter().filter_map(UnexplainedResidual::from_finding).collect();
     findings.retain(|finding| {
+        let arm = case.evidence.robots.iter().find(|arm| Some(&arm.name) == finding.subject.arm());
         let Some(unexplained) =
-            unexplained.iter().find(|unexplained| unexplained.could_cause(finding))
+            unexplained.iter().find(|unexplained| unexplained.could_cause(finding, arm))
         else {
             return true;
         };

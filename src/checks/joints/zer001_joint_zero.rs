@@ -208,21 +208,24 @@ fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
     ))
 }
 
-/// If a residual exceeds the thresholds of MDL001, the zero may be the effect of a wrong model.
+/// If the residual of each stream exceeds the thresholds of MDL001, the zero may be the effect of a wrong model.
 fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     /// Link deviations do not give a zero's effect a larger ratio to the residual.
     const MIN_EFFECT_RATIO: f64 = 30.0;
     let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let lower_bound = |amount: &Measured| amount.value - amount.half_width(0.95);
-    let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.is_nominal);
-    let residual = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let much = residual.filter(|residual| {
+    let unexplained = arm
+        .poses
+        .iter()
+        .filter(|stream| !stream.diagnosis.is_nominal && !stream.diagnosis.is_derived);
+    let residuals = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let smallest = residuals.min_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value));
+    let residual = smallest.filter(|residual| {
         let is_long = lower_bound(&residual.excess_m) > limits.length.warning;
         let has_large_rotation = lower_bound(&residual.excess_rad) > limits.angle.warning;
         (is_long || has_large_rotation)
             && offset.effect_m < MIN_EFFECT_RATIO * residual.excess_m.value
-    });
-    let residual = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
+    })?;
     Some(format!(
         "a residual of {} and {} is unexplained (MDL001); use the arm's own calibration, or {SETTLE}",
         Unit::Metre.show(residual.excess_m.value),

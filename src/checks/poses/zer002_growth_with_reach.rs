@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult, changes, residual_attribution};
-use crate::diagnosis::{Measured, PoseDiagnosis, ScalarChange};
+use crate::diagnosis::{Measured, ScalarChange};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -52,7 +52,7 @@ const SCALE: ScalarRule =
     ScalarRule { name: "scale", settle: "move over larger distances", ..RADIAL_SCALE };
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>, residual_m| {
+    let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>| {
         let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
         let largest = ScalarChange::largest(&stream.diagnosis.radial_scale_changes);
         let change = largest.map(|change| {
@@ -70,7 +70,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let radial_scale = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.radial_scale,
             is_chosen: stream.diagnosis.is_radial_scale_chosen,
-            doubt: doubt(residual_m, &stream.diagnosis),
+            doubt: doubt(stream),
         });
         let constant = arm.arm_or_body(RADIAL_SCALE, SCALE);
         changes::judge_with_change(stream.subject.clone(), change, |_| {
@@ -78,20 +78,21 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         })
         .within(stream.span)
     };
-    let judged = case.evidence.robots.iter().flat_map(|arm| {
-        let residual_m = residual_attribution::largest_residual_m(arm);
-        arm.poses.iter().map(move |stream| judge(arm, stream, residual_m))
-    });
+    let judged = case
+        .evidence
+        .robots
+        .iter()
+        .flat_map(|arm| arm.poses.iter().map(move |stream| judge(arm, stream)));
     judged.collect()
 }
 
-fn doubt(residual_m: f64, diagnosis: &PoseDiagnosis) -> Option<String> {
-    if diagnosis.is_periodic() {
+fn doubt(stream: &StreamEvidence<PoseEvidence>) -> Option<String> {
+    if stream.diagnosis.is_periodic() {
         let why = "depends on a latency that fits at several lags; record non-periodic motion";
         return Some(why.to_owned());
     }
     // Two arms differ mainly in size.
-    residual_attribution::residual_doubt(residual_m, 0.0)
+    residual_attribution::residual_doubt(residual_attribution::residual_m(stream), 0.0)
 }
 
 fn fault(arm: &ArmEvidence, radial_scale: &Measured, severity: Severity) -> Fault {
