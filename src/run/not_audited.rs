@@ -42,10 +42,10 @@ pub enum NotAuditedReason {
         /// Tool motion by the joints meanwhile, m.
         moved_m: f64,
     },
-    /// Named as the tool, but its motion is another.
+    /// Named as the tool, or in a frame of the robot, but its motion is another, or too short to tell.
     DoesNotFollow {
-        /// Highest correlation of its speed with the tool's.
-        correlation: f64,
+        /// Highest correlation of its speed with the tool's. `None` if undetermined.
+        correlation: Option<f64>,
     },
     /// The base moves in its frame, without logged transforms.
     BaseMoves {

@@ -277,10 +277,10 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
             Some(lead_s) if !follows_otherwise => run.resolve_leader(candidate, lead_s),
             _ => {
                 let correlation = peak.map(|peak| peak.correlation);
+                let may_be_tool = run.streams[candidate].role == Role::Candidate { presumed: true }
+                    || tool_word(&run.streams[candidate].topic).is_some();
                 run.resolve_candidate(candidate, correlation, follows_otherwise);
-                let Stream { role, topic, .. } = &run.streams[candidate];
-                let is_unlike = *role == Role::Unassigned && tool_word(topic).is_some();
-                if let Some(correlation) = correlation.filter(|_| is_unlike) {
+                if may_be_tool && run.streams[candidate].role == Role::Unassigned {
                     let reason = NotAuditedReason::DoesNotFollow { correlation };
                     unlike.push(NotAudited { stream: candidate, reason });
                 }
@@ -505,32 +505,38 @@ fn arm_followed(run: &Run, named: &[SharedStream], shared: &SharedStream) -> Opt
     (has_streams && !follows(arm, &is_named_after)).then_some(arm)
 }
 
-/// Excludes streams with a pose that rests while the joints move the tool. Without a name of the tool, they are of objects;
-/// otherwise they are stationary, or from another time.
+/// Excludes streams with a pose that rests while the joints move the tool. Without a name of the tool, they are of objects. A
+/// single value throughout, if not of one of several bodies, may also be the last of a publisher that stopped.
 fn exclude_unmoved(run: &mut Run, max_lag_s: f64) {
-    let role = |source: &PoseSource| run.streams.get(source.stream).map(|stream| stream.role);
-    let mut objects = Vec::new();
-    let unmoved = run.arms.iter().flat_map(|arm| {
-        let of = |source: &PoseSource| match role(source)? {
-            Role::Pose => {
-                let moved_m = source.motion_at_single_value_m(&arm.joints)?;
+    // A simulator's topic has all bodies of its world.
+    let mut bodies: HashMap<&str, HashSet<&str>> = HashMap::new();
+    for Stream { topic, child_frame_id, .. } in &run.streams {
+        bodies.entry(topic).or_default().insert(child_frame_id);
+    }
+    let (mut objects, mut unmoved) = (Vec::new(), Vec::new());
+    for arm in &run.arms {
+        for source in &arm.poses {
+            let Some(Stream { topic, role, .. }) = run.streams.get(source.stream) else { continue };
+            let is_candidate = matches!(role, Role::Candidate { .. });
+            let may_stop = match role {
+                Role::Pose => true,
+                Role::Candidate { presumed } => *presumed && bodies[topic.as_str()].len() == 1,
+                _ => false,
+            };
+            let single = source.motion_at_single_value_m(&arm.joints).filter(|_| may_stop);
+            if let Some(moved_m) = single {
                 let samples = source.track.t_s.len();
-                Some((source.stream, NotAuditedReason::NeverChanges { samples, moved_m }))
+                let reason = NotAuditedReason::NeverChanges { samples, moved_m };
+                let why = "all its poses are the same while the joints move the tool".to_owned();
+                unmoved.push((NotAudited { stream: source.stream, reason }, why));
+            } else if is_candidate && source.moving_base.is_none() && arm.trajectory.is_none() {
+                let moved_m = run.motion_beside_rest_m(arm, source, max_lag_s);
+                objects.extend(moved_m.map(|moved_m| (source.stream, moved_m)));
             }
-            Role::Candidate { .. } if source.moving_base.is_none() && arm.trajectory.is_none() => {
-                objects.push((source.stream, run.motion_beside_rest_m(arm, source, max_lag_s)?));
-                None
-            }
-            _ => None,
-        };
-        arm.poses.iter().filter_map(of).collect::<Vec<_>>()
-    });
-    let unmoved: Vec<(usize, NotAuditedReason)> = unmoved.collect();
+        }
+    }
     run.exclude_objects(&objects);
-    let why = "all its poses are the same while the joints move the tool";
-    let excluded =
-        unmoved.into_iter().map(|(stream, reason)| (NotAudited { stream, reason }, why.to_owned()));
-    run.exclude(excluded.collect());
+    run.exclude(unmoved);
 }
 
 /// Excludes streams in whose frame the base moves unpredictably: constant causes cannot be estimated.

@@ -88,14 +88,23 @@ impl Stream {
         }
     }
 
-    /// Whether it has table positions without rotation.
+    /// Whether it has positions without rotation: points, or three columns of a table.
     pub fn lacks_rotation(&self) -> bool {
+        self.is_of_points() || self.has_position_columns()
+    }
+
+    /// Whether its messages are points, such as those of a laser tracker.
+    pub fn is_of_points(&self) -> bool {
+        self.type_name.ends_with("/PointStamped")
+    }
+
+    fn has_position_columns(&self) -> bool {
         self.cells.len() == 3 && matches!(self.columns, Some(Columns::Poses(_)))
     }
 
     /// Whether its numbers lack unit and convention.
     pub fn lacks_encoding(&self) -> bool {
-        matches!(self.columns, Some(Columns::Array(_))) || self.lacks_rotation()
+        matches!(self.columns, Some(Columns::Array(_))) || self.has_position_columns()
     }
 
     /// Convention that its driver documents for three rotation numbers.

@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::checks::case::ExpectedEstimate::{self, AmountWithoutInterval, Frame};
 use crate::checks::case::ExpectedSubject;
 use crate::checks::case::{Expected, Log, cases, error, info, single_finding, warning};
-use crate::checks::recording::{Field, Message, carry, freeze_samples, rename_topic};
+use crate::checks::recording::{Field, Message, carry, displace, freeze_samples, rename_topic};
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
 
 const OBJECT: &str = "/workpiece/pose";
@@ -189,12 +189,18 @@ cases! {
             rename_topic(messages, POSE, OBJECT);
         });
     } => info(ExpectedSubject::Topic(OBJECT), ExpectedEstimate::None);
-    FRM007 an_object_that_never_moves: |log| {
+    FRM007 a_pose_without_a_name_that_has_one_value: |log| {
         log.edit = Some(|messages| {
             freeze_samples(messages, POSE, -1.0, 9.0);
             rename_topic(messages, POSE, OBJECT);
         });
-    } => info(ExpectedSubject::Topic(OBJECT), ExpectedEstimate::None);
+    } => warning(ExpectedSubject::Topic(OBJECT), ExpectedEstimate::None);
+    FRM007 a_tool_pose_that_moves_otherwise: |log| {
+        log.edit = Some(|messages| {
+            displace(messages, POSE, &(0..200).step_by(2).collect::<Vec<_>>(), [0.7, -0.4, 0.2]);
+            rename_topic(messages, POSE, "/measured");
+        });
+    } => warning(ExpectedSubject::Topic("/measured"), ExpectedEstimate::None);
     FRM007 a_late_pose_without_a_name_is_no_object: |log| {
         log.run.pose.timing.latency_s = 2.5;
         log.edit = Some(|messages| rename_topic(messages, POSE, OBJECT));

@@ -137,7 +137,9 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                 "all {samples} poses are equal while the joints move the tool by {}; not audited",
                 Unit::Metre.show(*moved_m)
             ),
-            fix: "check why it stopped, and record it while the arm moves".to_owned(),
+            fix: "check why it stopped, and record it while the arm moves; if it is of an object, set its role in the config \
+                  file to 'ignored'"
+                .to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
         NotAuditedReason::SceneObjects { bodies, moved_m } => NotAuditedReport {
@@ -164,9 +166,12 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
         NotAuditedReason::DoesNotFollow { correlation } => NotAuditedReport {
             why: "does-not-follow",
             title: "pose does not follow the arm",
-            message: format!(
-                "named as the tool, but does not move like it by FK (speed correlation {correlation:.2}); not audited"
-            ),
+            message: match correlation {
+                Some(correlation) => format!(
+                    "does not move like the tool by FK (speed correlation {correlation:.2}); not audited"
+                ),
+                None => "the motion does not show whether it follows the arm; not audited".to_owned(),
+            },
             fix: "check that it is of this arm, and of the same time as the joint states; if it is not of the tool, set its \
                   role in the config file to 'ignored'"
                 .to_owned(),

@@ -61,6 +61,7 @@ macro_rules! vector_slots {
         ]
     };
 }
+const POINT: [(&str, Slot); 3] = vector_slots!("point", row::POSITION);
 const VECTOR: [(&str, Slot); 3] = vector_slots!("vector", row::POSITION);
 const GYRO: [(&str, Slot); 3] = vector_slots!("angular_velocity", row::GYRO);
 const ACCEL: [(&str, Slot); 3] = vector_slots!("linear_acceleration", row::ACCEL);
@@ -171,6 +172,12 @@ static RECIPES: &[Recipe] = &[
         type_names: &["geometry_msgs/Pose"],
         row_list: None,
         layouts: &[pose_slots!("position", "orientation")],
+        parts: &[("", Part::poses)],
+    },
+    Recipe {
+        type_names: &["geometry_msgs/PointStamped"],
+        row_list: None,
+        layouts: layout![STAMP, FRAME, POINT[0], POINT[1], POINT[2]],
         parts: &[("", Part::poses)],
     },
     Recipe {

@@ -316,6 +316,11 @@ impl Assembly<'_> {
                 Role::Candidate { presumed: false },
                 format!("'{}' is not a link of the robot", stream.child_frame_id),
             ),
+            // Points in the base are usually seen or clicked.
+            (Role::Candidate { .. }, _) if stream.is_of_points() => {
+                let reason = "a point, which may be on the tool".to_owned();
+                (Role::Candidate { presumed: false }, reason)
+            }
             verdict => verdict,
         }
     }
