@@ -193,7 +193,11 @@ fn confounders<'a>(
 
 pub fn show(frame: &FrameEstimate) -> String {
     let length = Unit::Metre.show_measured(&frame.translation_m);
-    format!("{length} and {}", Unit::Radian.show_measured(&frame.rotation_rad))
+    match frame.rotation_rad.std_error.is_finite() {
+        true => format!("{length} and {}", Unit::Radian.show_measured(&frame.rotation_rad)),
+        // Points have no rotation.
+        false => length,
+    }
 }
 
 /// `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.

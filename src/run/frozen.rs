@@ -155,7 +155,7 @@ impl PoseSource {
     }
 
     /// Largest distance of the tool from its first place by FK, over the time of the stream, m.
-    fn fk_motion_m(&self, joints: &JointTrack) -> f64 {
+    pub(super) fn fk_motion_m(&self, joints: &JointTrack) -> f64 {
         let [first_s, .., last_s] = self.track.t_s.as_slice() else { return 0.0 };
         let row_of = |t_s: f64| joints.t_s.partition_point(|at_s| *at_s < t_s);
         let poses = self.fk_poses(joints, row_of(*first_s)..row_of(*last_s));

@@ -14,6 +14,8 @@ use super::sources::PoseSource;
 use super::streams::Stream;
 use super::{MIN_FOLLOWER_CORRELATION, Run};
 
+/// Minimum motion of the tool that a pose of it must show, m.
+pub(super) const MIN_MOTION_M: f64 = 0.05;
 /// Minimum duration of a rest, s.
 const MIN_DURATION_S: f64 = 1.0;
 /// Longer gaps end a rest, s.
@@ -75,6 +77,7 @@ impl Run {
         }
         let streams: HashSet<usize> = objects.iter().map(|(stream, _)| *stream).collect();
         self.remove_sources(&streams);
+        self.targets.retain(|target| !streams.contains(&target.stream));
         self.frozen.retain(|span| !streams.contains(&span.stream));
         let reports = topics.into_values().map(|(stream, bodies, moved_m)| NotAudited {
             stream,
@@ -147,7 +150,6 @@ impl PoseSource {
 
     /// `None` if some constant tool rests, or the joints hardly move.
     fn fk_motion_without_rest(&self, joints: &JointTrack, span_s: [f64; 2]) -> Option<f64> {
-        const MIN_MOTION_M: f64 = 0.05;
         const MIN_TURN_RAD: f64 = 0.35;
         /// Of the tool.
         const MAX_LENGTH_M: f64 = 0.5;

@@ -18,6 +18,7 @@ use crate::run::{
 };
 use crate::stream::{Orientations, PoseTrack};
 
+use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
@@ -277,10 +278,12 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
             Some(lead_s) if !follows_otherwise => run.resolve_leader(candidate, lead_s),
             _ => {
                 let correlation = peak.map(|peak| peak.correlation);
+                let is_moved = found
+                    .is_some_and(|(arm, source)| source.fk_motion_m(&arm.joints) > MIN_MOTION_M);
                 let may_be_tool = run.streams[candidate].role == Role::Candidate { presumed: true }
                     || tool_word(&run.streams[candidate].topic).is_some();
                 run.resolve_candidate(candidate, correlation, follows_otherwise);
-                if may_be_tool && run.streams[candidate].role == Role::Unassigned {
+                if may_be_tool && is_moved && run.streams[candidate].role == Role::Unassigned {
                     let reason = NotAuditedReason::DoesNotFollow { correlation };
                     unlike.push(NotAudited { stream: candidate, reason });
                 }

@@ -8,7 +8,7 @@ use crate::checks::case::ExpectedSubject::Topic;
 use crate::checks::case::{
     Expected, Log, cases, error, half_width, single_finding, summary, warning,
 };
-use crate::checks::recording::shift_stamps;
+use crate::checks::recording::{shift_stamps, take_rotations};
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
 
 /// Poses in the odometry frame of a base that drives and turns.
@@ -35,6 +35,10 @@ cases! {
         => warning(Topic(POSE), Amount(-0.006, 0.2e-3));
     LAT001 a_very_late_pose: |log| log.run.pose.timing.latency_s = 1.5
         => error(Topic(POSE), Amount(1.5, 0.5e-3));
+    LAT001 late_points: |log| {
+        log.run.pose.timing.latency_s = 0.015;
+        log.edit = Some(|messages| take_rotations(messages, POSE));
+    } => error(Topic(POSE), Amount(0.015, 0.2e-3));
     LAT001 a_late_tf: |log| log.run.tf.timing.latency_s = 0.030
         => error(Topic(TF), Amount(0.030, 0.2e-3));
     LAT001 a_late_imu: |log| log.run.imu.timing.latency_s = 0.012

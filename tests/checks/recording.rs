@@ -419,6 +419,19 @@ pub fn lose_target(messages: &mut [Message], topic: &str, spans_s: &[(f64, f64)]
     }
 }
 
+/// Turns the poses of `topic` into points.
+pub fn take_rotations(messages: &mut [Message], topic: &str) {
+    const DEFINITION: &str = "std_msgs/Header header\ngeometry_msgs/Point point\n===\nMSG: geometry_msgs/Point\nfloat64 x\n\
+                              float64 y\nfloat64 z\n===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n\
+                              string frame_id\n===\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
+    const QUATERNION_BYTES: usize = 32;
+    for message in messages.iter_mut().filter(|message| message.topic == topic) {
+        message.type_name = "geometry_msgs/msg/PointStamped".to_owned();
+        message.definition = DEFINITION.to_owned();
+        message.cdr.truncate(message.cdr.len() - QUATERNION_BYTES);
+    }
+}
+
 /// Sets all stamps of `topic` to the first.
 pub fn freeze_stamps(messages: &mut [Message], topic: &str) {
     let mut first: Option<[u8; 8]> = None;

@@ -15,7 +15,10 @@ rule! {
     /// - `own-frame`: its `frame_id` is the tool's frame, in which the tool cannot move.
     /// - `no-orientation`: its orientations were never set.
     /// - `never-changes`: its pose is constant while the joints move the tool.
-    /// - `scene-objects`: its bodies never move.
+    /// - `scene-objects`: it rests while the joints move the tool, and moves with the tool otherwise, if at all. It is the
+    ///   pose of an object (info).
+    /// - `does-not-follow`: it is named as the tool, or is in a frame of the robot, but moves otherwise, or too
+    ///   briefly to tell.
     /// - `other-frames`: some poses are in frames without a transform to the arm.
     /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
     /// - `other-arm`: its name or frames are one arm's, but its poses follow another (an error).
@@ -33,7 +36,7 @@ rule! {
     /// ## Evidence
     /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),
     /// the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the arm
-    /// by name (`named`) and by motion (`arm`), the
+    /// by name (`named`) and by motion (`arm`), the `correlation` of its speed with the tool's, the
     /// `frames`, the `bodies`, `missing` kinematics, or the `joints`.
     ///
     /// ## How to fix
@@ -42,7 +45,8 @@ rule! {
     /// Record every robot's description, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
-    /// Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
+    /// A person or an object that moves in a frame of the robot is reported as `does-not-follow`: set its role to
+    /// `ignored`. Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
     /// also reported. Ignore the rule for their topic. A constant orientation, as of a gantry or SCARA that
     /// never tilts its tool, is reported only if the joints rotate the tool.
     FRM007 {
