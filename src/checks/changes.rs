@@ -62,7 +62,7 @@ impl ChangeReport {
             None => {
                 let often = match all.len() {
                     1 => String::new(),
-                    times => format!("({times} changes in total)"),
+                    times => format!(" ({times} changes in total)"),
                 };
                 (
                     format!("changes by {by} {at}{often}: from {from} to {to}"),
@@ -176,10 +176,11 @@ pub fn judge_scalar_change(
     case: &Case,
     name: &'static str,
     title: &'static str,
-    change: &ScalarChange,
+    changes: &[&ScalarChange],
     threshold: &Threshold,
-    effect_m: f64,
-) -> (Outcome, Estimate) {
+    effect_m: impl Fn(&ScalarChange) -> f64,
+) -> Option<(Outcome, Estimate)> {
+    let change = first_of_the_largest(changes)?;
     let (at, within) = change_stamps(case, change);
     let unit = threshold.unit;
     let estimate = Estimate::scalar(name, unit, &change.size).with_change(Changes {
@@ -188,6 +189,10 @@ pub fn judge_scalar_change(
         change_ns: at,
         change_ci95_ns: Some(within),
     });
+    let listed = |change: &ScalarChange| {
+        let (at, _) = change_stamps(case, change);
+        json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })
+    };
     let report = ChangeReport {
         at_which: "tip",
         rate: None,
@@ -198,8 +203,8 @@ pub fn judge_scalar_change(
         by: unit.show_signed(&change.size),
         name,
         title,
-        effect_m,
-        all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
+        effect_m: effect_m(change),
+        all: changes.iter().map(|change| listed(change)).collect(),
     };
     // The selection of the change has shown that it is not zero, so the 95 % interval suffices.
     let is_significant =
@@ -208,7 +213,16 @@ pub fn judge_scalar_change(
         Some(severity) if is_significant => Decision::Fail(severity),
         _ => decide(&change.size, threshold, case.evidence.subjects()),
     };
-    (outcome(decision, report), estimate)
+    Some((outcome(decision, report), estimate))
+}
+
+/// The first of the changes that are about as large as the largest: a value that returns has changed at first.
+fn first_of_the_largest<'a>(changes: &[&'a ScalarChange]) -> Option<&'a ScalarChange> {
+    let size = |change: &&ScalarChange| change.size.value.abs();
+    let largest = changes.iter().map(size).fold(0.0, f64::max);
+    let is_as_large =
+        |change: &&&ScalarChange| size(change) + change.size.half_width(0.95) >= largest;
+    changes.iter().filter(is_as_large).min_by(|a, b| a.at_s.total_cmp(&b.at_s)).copied()
 }
 
 fn outcome(decision: Decision, report: ChangeReport) -> Outcome {

@@ -41,7 +41,7 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
         let of_arm = case.evidence.robots.iter().flat_map(|arm| {
             let offsets = arm.diagnosis.offsets.iter().enumerate();
             offsets.map(move |(joint, offset)| {
-                let changes = arm.diagnosis.zero_change(joint).is_some();
+                let changes = !arm.diagnosis.zero_changes(joint).is_empty();
                 (arm.joint(joint), offset.held_out.filter(|_| !changes))
             })
         });

@@ -27,9 +27,9 @@ impl JointDiagnosis {
         }
     }
 
-    /// Largest change of a joint's zero, if any.
-    pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
-        self.largest_change(column, |change| change.zero.as_ref())
+    /// Changes of a joint's zero.
+    pub fn zero_changes(&self, column: usize) -> Vec<&ScalarChange> {
+        self.changes_of(column, |change| change.zero.as_ref())
     }
 
     /// Encoding to report; the wrong one, if it is wrong in a part of the run only.
@@ -40,18 +40,18 @@ impl JointDiagnosis {
         }
     }
 
-    /// Largest change of a joint's scale, if any.
-    pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
-        self.largest_change(column, |change| change.factor.as_ref())
+    /// Changes of a joint's scale.
+    pub fn factor_changes(&self, column: usize) -> Vec<&ScalarChange> {
+        self.changes_of(column, |change| change.factor.as_ref())
     }
 
-    fn largest_change(
+    fn changes_of(
         &self,
         column: usize,
         of: impl Fn(&JointChange) -> Option<&ScalarChange>,
-    ) -> Option<&ScalarChange> {
+    ) -> Vec<&ScalarChange> {
         let own = self.changes.iter().filter(|change| change.column == column);
-        ScalarChange::largest(own.filter_map(of))
+        own.filter_map(of).collect()
     }
 
     /// Removes eccentricity above the usual level, which no rule reports.

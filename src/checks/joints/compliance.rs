@@ -52,14 +52,16 @@ impl ComplianceRule {
     ) -> SubjectResult {
         let threshold = case.thresholds.threshold(rule, self.threshold);
         let subject = arm.joint(compliance.column);
-        if let Some(change) = &compliance.change {
-            let (effect_m, _) = tip_effect(arm, compliance.column, change.size.value);
-            let title = "joint compliance changes mid-run";
-            let (outcome, estimate) =
-                changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
-            if matches!(outcome, Outcome::Evaluated(Ruling::Fail(_))) {
-                return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
-            }
+        let change = changes::judge_scalar_change(
+            case,
+            self.name,
+            "joint compliance changes mid-run",
+            &Vec::from_iter(&compliance.change),
+            &threshold,
+            |change| tip_effect(arm, compliance.column, change.size.value).0,
+        );
+        if let Some((outcome @ Outcome::Evaluated(Ruling::Fail(_)), estimate)) = change {
+            return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
         }
         let size = Measured { value: compliance.value.value.abs(), ..compliance.value };
         let outcome = decide(&size, &threshold, case.evidence.subjects())

@@ -75,7 +75,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let (scales, reading) = match &arm.diagnosis.encoding {
         Ok(reading) => {
             let mut scales = arm.diagnosis.scales.clone();
-            scales.retain(|scale| arm.diagnosis.factor_change(scale.column).is_none());
+            scales.retain(|scale| arm.diagnosis.factor_changes(scale.column).is_empty());
             // ORD004 reports the unit.
             if arm.radians_as_degrees().is_some() {
                 scales.clear();
@@ -121,12 +121,15 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
     let columns = 0..arm.joints.len();
     let judged = columns.filter_map(|column| {
-        let change = arm.diagnosis.factor_change(column)?;
         let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
-        let effect_m = lever_m * change.size.value.abs();
-        let title = "joint scale changes mid-run";
-        let (outcome, estimate) =
-            changes::judge_scalar_change(case, "joint scale", title, change, &THRESHOLD, effect_m);
+        let (outcome, estimate) = changes::judge_scalar_change(
+            case,
+            "joint scale",
+            "joint scale changes mid-run",
+            &arm.diagnosis.factor_changes(column),
+            &THRESHOLD,
+            |change| lever_m * change.size.value.abs(),
+        )?;
         let subject = arm.joint_states(column);
         Some(SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate))
     });

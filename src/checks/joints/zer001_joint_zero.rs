@@ -101,11 +101,15 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(arm.span);
     }
     let threshold = case.thresholds.threshold(&ZER001, threshold(arm.joint_unit(joint)));
-    let change = arm.diagnosis.zero_change(joint).map(|change| {
-        let effect_m = offset.lever_m * change.size.value.abs();
-        let title = "joint zero changes mid-run";
-        let (mut outcome, estimate) =
-            changes::judge_scalar_change(case, "joint offset", title, change, &threshold, effect_m);
+    let change = changes::judge_scalar_change(
+        case,
+        "joint offset",
+        "joint zero changes mid-run",
+        &arm.diagnosis.zero_changes(joint),
+        &threshold,
+        |change| offset.lever_m * change.size.value.abs(),
+    );
+    let change = change.map(|(mut outcome, estimate)| {
         if let Outcome::Evaluated(Ruling::Fail(fault)) = &mut outcome {
             let confounders = offset
                 .confounders

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult, changes, residual_attribution};
-use crate::diagnosis::{Measured, ScalarChange};
+use crate::diagnosis::Measured;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -54,19 +54,14 @@ const SCALE: ScalarRule =
 fn check(case: &Case) -> Vec<SubjectResult> {
     let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>| {
         let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
-        let largest = ScalarChange::largest(&stream.diagnosis.radial_scale_changes);
-        let change = largest.map(|change| {
-            let title = "growth with reach changes mid-run";
-            let effect_m = change.size.value.abs() * arm.reach_m;
-            changes::judge_scalar_change(
-                case,
-                RADIAL_SCALE.name,
-                title,
-                change,
-                &threshold,
-                effect_m,
-            )
-        });
+        let change = changes::judge_scalar_change(
+            case,
+            RADIAL_SCALE.name,
+            "growth with reach changes mid-run",
+            &Vec::from_iter(&stream.diagnosis.radial_scale_changes),
+            &threshold,
+            |change| change.size.value.abs() * arm.reach_m,
+        );
         let radial_scale = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.radial_scale,
             is_chosen: stream.diagnosis.is_radial_scale_chosen,

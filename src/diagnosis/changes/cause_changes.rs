@@ -829,6 +829,11 @@ impl Removal {
             stream.reference_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
             stream.tool_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
             stream.radial_scale_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+            for later in 1..stream.radial_scale_changes.len() {
+                let from = stream.radial_scale_changes[later - 1].to;
+                let next = &mut stream.radial_scale_changes[later];
+                (next.from, next.to) = (from, from + next.size.value);
+            }
             let is_own = changes.iter().any(|change| change.subject.stream() == Some(s));
             if is_own {
                 keep_encoding(&before.streams[s], stream);

@@ -26,14 +26,6 @@ pub type FrameChange = ChangePoint<Pose, FrameEstimate>;
 /// Change point of a number.
 pub type ScalarChange = ChangePoint<f64, Measured>;
 
-impl ScalarChange {
-    /// Largest of several changes.
-    pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
-        let size = |change: &Self| change.size.value.abs();
-        changes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))
-    }
-}
-
 /// Change of a joint's zero or scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointChange {
