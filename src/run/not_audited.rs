@@ -46,6 +46,8 @@ pub enum NotAuditedReason {
     DoesNotFollow {
         /// Highest correlation of its speed with the tool's. `None` if undetermined.
         correlation: Option<f64>,
+        /// Named as the tool.
+        is_named: bool,
     },
     /// The base moves in its frame, without logged transforms.
     BaseMoves {

@@ -280,11 +280,12 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
                 let correlation = peak.map(|peak| peak.correlation);
                 let is_moved = found
                     .is_some_and(|(arm, source)| source.fk_motion_m(&arm.joints) > MIN_MOTION_M);
-                let may_be_tool = run.streams[candidate].role == Role::Candidate { presumed: true }
-                    || tool_word(&run.streams[candidate].topic).is_some();
+                let is_presumed = run.streams[candidate].role == Role::Candidate { presumed: true };
                 run.resolve_candidate(candidate, correlation, follows_otherwise);
-                if may_be_tool && is_moved && run.streams[candidate].role == Role::Unassigned {
-                    let reason = NotAuditedReason::DoesNotFollow { correlation };
+                let Stream { role, topic, .. } = &run.streams[candidate];
+                let is_named = tool_word(topic).is_some();
+                if *role == Role::Unassigned && is_moved && (is_named || is_presumed) {
+                    let reason = NotAuditedReason::DoesNotFollow { correlation, is_named };
                     unlike.push(NotAudited { stream: candidate, reason });
                 }
             }

@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::checks::case::ExpectedEstimate::{self, AmountWithoutInterval, Frame};
 use crate::checks::case::ExpectedSubject;
 use crate::checks::case::{Expected, Log, cases, error, info, single_finding, warning};
-use crate::checks::recording::{Field, Message, carry, freeze_samples, rename_topic};
+use crate::checks::recording::{Field, Message, carry, freeze_samples, rename_topic, swing};
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
 
 const OBJECT: &str = "/workpiece/pose";
@@ -298,19 +298,6 @@ fn an_elbow_that_stops_short_is_not_reported_as_tool_offset() {
     assert!((rotation.value - 0.3_f64.to_radians()).abs() < 1e-4, "{rotation:?}");
     // In this configuration the tip is 0.4 to 0.6 m from the elbow's axis.
     assert!((0.4..0.6).contains(&(value / 0.3_f64.to_radians())), "{value}");
-}
-
-/// Moves the poses of `topic` along a line, with a period of 0.8 s.
-fn swing(messages: &mut [Message], topic: &str) {
-    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
-    for (row, message) in of_topic.enumerate() {
-        for field in message.fields() {
-            if let Field::Xyz(at, _) = field {
-                let y = 0.2 * (0.31 * row as f64).sin();
-                message.set_floats(at, &[0.4, y, 0.3, 0.0, 0.0, 0.0, 1.0]);
-            }
-        }
-    }
 }
 
 /// Moves the second goal to a pose that the arm does not reach.

@@ -419,6 +419,19 @@ pub fn lose_target(messages: &mut [Message], topic: &str, spans_s: &[(f64, f64)]
     }
 }
 
+/// Moves the poses of `topic` along a line, with a period of 0.8 s.
+pub fn swing(messages: &mut [Message], topic: &str) {
+    let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
+    for (row, message) in of_topic.enumerate() {
+        for field in message.fields() {
+            if let Field::Xyz(at, _) = field {
+                let y = 0.2 * (0.31 * row as f64).sin();
+                message.set_floats(at, &[0.4, y, 0.3, 0.0, 0.0, 0.0, 1.0]);
+            }
+        }
+    }
+}
+
 /// Turns the poses of `topic` into points.
 pub fn take_rotations(messages: &mut [Message], topic: &str) {
     const DEFINITION: &str = "std_msgs/Header header\ngeometry_msgs/Point point\n===\nMSG: geometry_msgs/Point\nfloat64 x\n\

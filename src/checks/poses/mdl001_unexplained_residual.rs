@@ -18,7 +18,7 @@ use crate::finding::{
     Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Subject, Unit,
     rounded,
 };
-use crate::run::CompetingModel;
+use crate::run::{CompetingModel, NotAuditedReason};
 
 rule! {
     /// Residual error with no identified cause.
@@ -101,7 +101,22 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     let outcomes = CauseOutcomes::evaluate(case);
     let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &outcomes, arm));
     let unmodelled = case.evidence.unmodelled_arms.iter().map(|arm| judge_unmodelled(case, arm));
-    arms.chain(unmodelled).chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
+    let leaders = case.evidence.leading_streams.iter().map(judge_leader);
+    let others = case.evidence.not_audited.iter().filter_map(judge_not_following);
+    arms.chain(unmodelled).chain(leaders).chain(others).collect()
+}
+
+/// A stream that does not move like the tool may be of another body, or of the tool with a large fault: inconclusive.
+fn judge_not_following(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Option<SubjectResult> {
+    let is_other = |why: &NotAuditedReason| matches!(why, NotAuditedReason::DoesNotFollow { .. });
+    stream.iter().any(is_other).then(|| {
+        let why = format!(
+            "not compared: its motion does not show that it is the tool's; set role = \"pose\" or role = \"ignored\" in \
+             [stream.\"{}\"] of poseaudit.toml",
+            stream.topic(),
+        );
+        stream.judged(Outcome::Inconclusive(why))
+    })
 }
 
 /// Without a model there is no FK.

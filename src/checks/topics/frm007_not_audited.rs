@@ -17,8 +17,8 @@ rule! {
     /// - `never-changes`: its pose is constant while the joints move the tool.
     /// - `scene-objects`: it rests while the joints move the tool, and moves with the tool otherwise, if at all. It is the
     ///   pose of an object (info).
-    /// - `does-not-follow`: it is named as the tool, or is in a frame of the robot, but moves otherwise, or too
-    ///   briefly to tell.
+    /// - `does-not-follow`: it is named as the tool, or is in a frame of the robot (info), but moves otherwise, or too
+    ///   briefly to tell. MDL001 is then inconclusive.
     /// - `other-frames`: some poses are in frames without a transform to the arm.
     /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
     /// - `other-arm`: its name or frames are one arm's, but its poses follow another (an error).
@@ -45,8 +45,7 @@ rule! {
     /// Record every robot's description, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
-    /// A person or an object that moves in a frame of the robot is reported as `does-not-follow`: set its role to
-    /// `ignored`. Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
+    /// Set the role of a person or another body that moves in a frame of the robot to `ignored`. Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
     /// also reported. Ignore the rule for their topic. A constant orientation, as of a gantry or SCARA that
     /// never tilts its tool, is reported only if the joints rotate the tool.
     FRM007 {
@@ -70,7 +69,8 @@ fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<SubjectResult> {
     let of = |why: &NotAuditedReason| {
         let NotAuditedReport { why: name, title, message, fix, evidence } = report(why);
         let severity = match why {
-            NotAuditedReason::SceneObjects { .. } => Severity::Info,
+            NotAuditedReason::SceneObjects { .. }
+            | NotAuditedReason::DoesNotFollow { is_named: false, .. } => Severity::Info,
             NotAuditedReason::OtherArm { .. } => Severity::Error,
             _ => Severity::Warning,
         };
@@ -167,7 +167,7 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("bodies", json!(bodies)), ("moved_m", json!(moved_m))],
         },
-        NotAuditedReason::DoesNotFollow { correlation } => NotAuditedReport {
+        NotAuditedReason::DoesNotFollow { correlation, .. } => NotAuditedReport {
             why: "does-not-follow",
             title: "pose does not follow the arm",
             message: match correlation {
