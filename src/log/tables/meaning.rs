@@ -464,7 +464,10 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
                 || names::is_pose(stem)
                 || (3..=4).any(|width| names::pose_part(&stem.join("_"), width).is_some())
         };
-        let Some((stem, number)) = own.filter(|(stem, _)| is_known(stem)) else { continue };
+        let is_limb = names::numbers_a_limb(name(table, cell));
+        let Some((stem, number)) = own.filter(|(stem, _)| !is_limb && is_known(stem)) else {
+            continue;
+        };
         families.entry((home_column(table, cell), stem)).or_default().entry(number).or_insert(cell);
     }
     let mut groups = Vec::new();
@@ -677,14 +680,10 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         let Some(joint) = joint else { continue };
         let home = match home_column(table, cell) {
             // The path before a joint name distinguishes states from commands.
-            "" => own
-                .rsplit_once(['/', '.'])
-                .map_or("", |(before, _)| before)
-                .trim_end_matches(".pos")
-                .to_owned(),
+            "" => joint.rsplit_once(['/', '.']).map_or("", |(before, _)| before).to_owned(),
             home => home.to_owned(),
         };
-        let joint = joint.rsplit(['/']).next().unwrap_or(&joint).to_owned();
+        let joint = joint.rsplit(['/', '.']).next().unwrap_or(&joint).to_owned();
         homes.entry(home).or_default().push((cell, joint));
     }
     let mut groups = Vec::new();

@@ -80,6 +80,9 @@ const VELOCITY_WORDS: &[&str] = &[
     "qvel",
     "qdot",
     "jvel",
+    "dot",
+    "dtheta",
+    "thetadot",
 ];
 
 /// Neither joint positions nor poses.
@@ -87,6 +90,9 @@ const OTHER_WORDS: &[&str] = &[
     "ddq",
     "qdd",
     "qddot",
+    "ddot",
+    "ddtheta",
+    "dd",
     "qacc",
     "fx",
     "fy",
@@ -327,7 +333,7 @@ fn contains_any(words: &[String], known: &[&str]) -> bool {
 /// Velocities or other quantities that are not audited.
 pub(super) fn is_other_quantity(words: &[String]) -> bool {
     contains_any(words, OTHER_WORDS)
-        || contains_any(words, VELOCITY_WORDS)
+        || has_velocity_word(words)
         || is_motor_current(words)
         || is_tool_twist(words)
         || is_uncertainty(words)
@@ -338,6 +344,14 @@ fn is_uncertainty(words: &[String]) -> bool {
     words.windows(2).any(|words| words == ["u", "95"])
 }
 
+/// A word for velocities, a differential (`d_theta_1`), or the ending of `wrist_1_v`.
+fn has_velocity_word(words: &[String]) -> bool {
+    let is_joint = |word: &str| JOINT_WORDS.contains(&word);
+    contains_any(words, VELOCITY_WORDS)
+        || words.windows(2).any(|pair| pair[0] == "d" && is_joint(&pair[1]))
+        || (contains_any(words, LIMB_WORDS) && words.last().is_some_and(|word| word == "v"))
+}
+
 /// libfranka's `O_dP_EE`.
 fn is_tool_twist(words: &[String]) -> bool {
     words.windows(3).any(|words| words == ["d", "p", "ee"])
@@ -345,7 +359,7 @@ fn is_tool_twist(words: &[String]) -> bool {
 
 pub(super) fn is_joint_velocities(words: &[String]) -> bool {
     let of_tool = |word: &String| POSE_WORDS.contains(&word.as_str()) || word.as_str() == "linear";
-    contains_any(words, VELOCITY_WORDS)
+    has_velocity_word(words)
         && !contains_any(words, OTHER_WORDS)
         && !words.iter().any(of_tool)
         && !is_motor_current(words)
@@ -390,14 +404,19 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
         "a",
         "j",
         "s",
+        "v",
     ];
-    let is_neutral = |word: &String| {
-        let word = word.as_str();
+    let is_neutral = |at: usize| {
+        let is_differential = || {
+            words[at] == "d"
+                && words.get(at + 1).is_some_and(|next| JOINT_WORDS.contains(&next.as_str()))
+        };
         [VELOCITY_WORDS, POSITION_WORDS, JOINT_WORDS, UNIT_WORDS, NEUTRAL_WORDS]
             .iter()
-            .any(|known| known.contains(&word))
+            .any(|known| known.contains(&words[at].as_str()))
+            || is_differential()
     };
-    words.iter().filter(|word| !is_neutral(word)).cloned().collect()
+    (0..words.len()).filter(|&at| !is_neutral(at)).map(|at| words[at].clone()).collect()
 }
 
 /// `qd` can mean desired positions or velocities.
@@ -458,12 +477,19 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     if is_other_quantity(&own) {
         return None;
     }
+    const ENDINGS: &[&str] =
+        &[".pos", "_pos", ".position", "_position", "/position", ".q", "_rad", "_deg", "_p"];
     let name = without_unit(name);
-    let bare = [".pos", "_pos", ".position", "_position", ".q", "_rad", "_deg"]
-        .iter()
-        .find_map(|end| name.strip_suffix(end))
-        .unwrap_or(name);
+    let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
     (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
+}
+
+/// Whether the number belongs to a part of the arm, as in `wrist_1_pos`.
+pub(super) fn numbers_a_limb(name: &str) -> bool {
+    let words = split_words(name);
+    words.windows(2).any(|pair| {
+        ["shoulder", "elbow", "wrist", "forearm"].contains(&pair[0].as_str()) && is_number(&pair[1])
+    })
 }
 
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
@@ -717,6 +743,11 @@ mod tests {
             ("field.position5", true),
             ("qd_3", false),
             ("torque_joint_1", false),
+            ("q1_dot", false),
+            ("q_dot_2", false),
+            ("D_Theta_1", false),
+            ("DD_Theta_1", false),
+            ("dtheta3", false),
         ] {
             let found = numbered(name).is_some_and(|(stem, _)| is_stem_of_joints(&stem));
             assert_eq!(found, is_joint, "{name}");

@@ -780,3 +780,51 @@ fn a_matrix_by_row_and_column_is_a_pose() {
     let (width, values) = array(&log, "t");
     assert_eq!((width, values[3]), (16, 4.0));
 }
+
+#[test]
+fn joints_named_by_parts_have_positions_and_velocities() {
+    const PARTS: [&str; 6] =
+        ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
+    for (before, [position, velocity]) in [
+        ("", ["_pos", "_vel"]),
+        ("", ["_p", "_v"]),
+        ("/joint_states/", ["/position", "/velocity"]),
+        ("state.", [".pos", ".vel"]),
+    ] {
+        let all = |end: &str| PARTS.map(|part| format!("{before}{part}{end}"));
+        let names = [vec!["t".to_owned()], all(position).to_vec(), all(velocity).to_vec()].concat();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+        let own = log.topics.iter().find(|topic| matches!(topic.columns, Some(Columns::Joints(_))));
+        let name = own.expect("joints").name.clone();
+        assert_eq!(joints(&log, &name).0, PARTS, "{position}");
+        let Some(Columns::Joints(own)) = &topic(&log, &name).columns else { panic!() };
+        assert_eq!([own.joints[0].velocity[0], own.joints[5].velocity[0]], [7.0, 12.0]);
+        assert_eq!(log.topics.len(), 1, "{:?}", log.topics);
+    }
+}
+
+#[test]
+fn differentials_of_joints_are_velocities() {
+    for [position, velocity, acceleration] in [
+        ["Theta_{}", "D_Theta_{}", "DD_Theta_{}"],
+        ["q{}", "q{}_dot", "q{}_ddot"],
+        ["q_{}", "q_dot_{}", "q_ddot_{}"],
+        ["theta{}", "dtheta{}", "ddtheta{}"],
+    ] {
+        let all =
+            |stem: &str| (1..=6).map(|at: usize| stem.replace("{}", &at.to_string())).collect();
+        let groups: [Vec<String>; 3] = [position, velocity, acceleration].map(all);
+        let names = [vec!["t".to_owned()], groups.concat()].concat();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+        let all: Vec<&Topic> = log
+            .topics
+            .iter()
+            .filter(|topic| matches!(topic.columns, Some(Columns::Joints(_))))
+            .collect();
+        let [own] = all.as_slice() else { panic!("{position}: {all:?}") };
+        let Some(Columns::Joints(own)) = &own.columns else { panic!() };
+        assert_eq!(own.joints[1].velocity[0], 8.0, "{velocity}");
+    }
+}
