@@ -336,6 +336,44 @@ fn build_match(
     Some(JointMatch { model, pairs, is_numbered })
 }
 
+/// Renames the joints of `robot` as in the log if the names differ only in separators, in the word `joint` and in
+/// a prefix of each arm: `left_wrist1` is `wrist_1_joint`. Empty if an arm lacks a joint.
+pub(super) fn match_words(
+    robot: &Robot,
+    joints: &[String],
+    clues: &ModelClues<'_>,
+    found: &str,
+) -> Vec<LogModel> {
+    const MIN_LETTERS: usize = 3;
+    let plain = |name: &str| -> String {
+        let text: String = name.chars().filter(|c| c.is_alphanumeric()).collect();
+        text.to_lowercase().replace("joint", "")
+    };
+    let letters = |name: &str| plain(name).chars().filter(|c| c.is_alphabetic()).count();
+    let Some(path) = arm_joints(robot) else { return Vec::new() };
+    if path.iter().any(|name| letters(name) < MIN_LETTERS) {
+        return Vec::new();
+    }
+    let mut arms: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
+    for logged in joints {
+        let own = plain(logged);
+        let part = path.iter().find(|name| own.ends_with(&plain(name)));
+        if let Some(name) = part {
+            let prefix = own[..own.len() - plain(name).len()].to_owned();
+            arms.entry(prefix).or_default().push((logged.clone(), name.clone()));
+        }
+    }
+    let is_whole = |pairs: &[(String, String)]| {
+        pairs.len() == path.len()
+            && path.iter().all(|name| pairs.iter().any(|pair| pair.1 == *name))
+    };
+    let models = arms.into_values().filter(|pairs| is_whole(pairs)).filter_map(|pairs| {
+        let found = format!("{found}, joints matched by name ({})", describe_pairs(&pairs));
+        Some(LogModel::new(rename_joints(robot, &pairs)?, found, "", clues))
+    });
+    models.collect()
+}
+
 pub(super) fn rename_joints(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot> {
     robot.with_joints_renamed(|name| {
         let pair = pairs.iter().find(|(_, modelled)| modelled == name);

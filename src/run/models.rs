@@ -206,7 +206,13 @@ fn match_names(
     }
     match match_by_prefix(robot, clues, joints.to_vec(), may_repeat, found) {
         Err(RunError::UnknownJoints { .. }) => {
-            joint_order::match_robot(robot, joints, clues, criteria, found)
+            let by_words = joint_order::match_words(robot, joints, clues, found);
+            match by_words.len() {
+                0 => joint_order::match_robot(robot, joints, clues, criteria, found),
+                1 => Ok(by_words),
+                _ if may_repeat => Ok(by_words),
+                _ => joint_order::match_robot(robot, joints, clues, criteria, found),
+            }
         }
         models => models,
     }
@@ -450,6 +456,18 @@ mod tests {
         let clues = ModelClues { joints: &logged, descriptions: &descriptions, ..no_clues() };
         let models = select_models(&[], &clues, &NOBODY).unwrap();
         assert_eq!(models.len(), 2);
+    }
+
+    #[test]
+    fn separators_the_word_joint_and_prefixes_do_not_matter() {
+        let plain = ["shoulder_pan", "ShoulderLift", "elbow", "wrist1", "Wrist 2", "wrist-3"];
+        let of = |prefix: &str| plain.map(|name| format!("{prefix}{name}")).to_vec();
+        let model = &ur5e(&of(""), &[]).unwrap()[0];
+        assert!(plain.iter().all(|name| model.robot.joint(name).is_some()));
+        let models = ur5e(&[of("R_"), of("S_")].concat(), &[]).unwrap();
+        assert_eq!(models.len(), 2);
+        assert!(models[1].robot.joint("S_wrist1").is_some());
+        assert!(ur5e(&of("")[1..], &[]).is_err());
     }
 
     #[test]
