@@ -19,7 +19,7 @@ use crate::rtde::JOINTS as UR_JOINTS;
 pub(crate) use row_layout::LayoutColumns;
 use sampling::Sampling;
 
-use ground::geometry::AngleUnit;
+use ground::geometry::{AngleUnit, rotation_from_matrix_rows};
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
 /// Joints of an arm, with its gripper.
@@ -745,6 +745,9 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
             (joints_of(names, true), by_name("joint positions"))
         }
         6 | 7 | 12 | 16 if names::is_pose(&words) => (ColumnMeaning::Pose, by_name("a pose")),
+        16 if are_homogeneous(column) => {
+            (ColumnMeaning::Pose, "a pose, because each row is a homogeneous matrix".to_owned())
+        }
         3 if names::pose_part(&column.name, 3)
             .is_some_and(|(_, part)| part == PosePart::Position) =>
         {
@@ -759,9 +762,44 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
         ),
     };
     let part = names::pose_part(&column.name, column.width)
+        .or_else(|| {
+            are_rotations(column).then(|| (names::pose_key_of_stem(&words), PosePart::Matrix))
+        })
         .filter(|_| !matches!(meaning, ColumnMeaning::Pose | ColumnMeaning::Joints { .. }))
         .map(|(key, part)| (String::new(), key, part));
     ColumnGroup { topic: column.name.clone(), cells, meaning, why, part }
+}
+
+/// Rows that start like rotation matrices, by rows or by columns. Constant ones show nothing.
+fn rotation_rows(column: &Column, width: usize, elements: [usize; 9]) -> bool {
+    /// Share of the rows, and tolerance of products for rounding to three digits.
+    const MIN_PERCENT: usize = 95;
+    const MAX_DEVIATION: f64 = 5e-3;
+    let is_rotation = |row: &&[f64]| {
+        let m = elements.map(|at| row[at]);
+        rotation_from_matrix_rows([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
+            .is_some_and(|(_, defect)| defect < MAX_DEVIATION)
+    };
+    let rows = || column.values.chunks_exact(width);
+    let count = rows().filter(is_rotation).count();
+    column.width == width
+        && 100 * count >= MIN_PERCENT * rows().len().max(1)
+        && rows().next().is_some_and(|first| rows().any(|row| row != first))
+}
+
+fn are_rotations(column: &Column) -> bool {
+    column.width == 9 && rotation_rows(column, 9, [0, 1, 2, 3, 4, 5, 6, 7, 8])
+}
+
+fn are_homogeneous(column: &Column) -> bool {
+    const ELEMENTS: [usize; 9] = [0, 1, 2, 4, 5, 6, 8, 9, 10];
+    let is_last = |row: &[f64], last: [usize; 4]| last.map(|at| row[at]) == [0.0, 0.0, 0.0, 1.0];
+    let rows = || column.values.chunks_exact(16);
+    column.width == 16
+        && [[12, 13, 14, 15], [3, 7, 11, 15]]
+            .into_iter()
+            .any(|last| rows().all(|row| is_last(row, last)))
+        && rotation_rows(column, 16, ELEMENTS)
 }
 
 /// Names next to the positions of a joint state, as `ros2 topic echo` writes them.

@@ -828,3 +828,47 @@ fn differentials_of_joints_are_velocities() {
         assert_eq!(own.joints[1].velocity[0], 8.0, "{velocity}");
     }
 }
+
+/// Turns about z: a matrix by rows, with a position below.
+fn turn(row: usize) -> [f64; 9] {
+    let (sin, cos) = (0.05 * row as f64).sin_cos();
+    [cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]
+}
+
+#[test]
+fn homogeneous_matrices_are_poses_under_any_name() {
+    let matrix = |row: usize| {
+        let r = turn(row);
+        let (x, y, z) = (0.1 * row as f64, 0.2, 0.3);
+        [r[0], r[1], r[2], x, r[3], r[4], r[5], y, r[6], r[7], r[8], z, 0.0, 0.0, 0.0, 1.0]
+    };
+    let rows = |value: &dyn Fn(usize) -> [f64; 16]| -> String {
+        let row =
+            |row: usize| format!("{{\"t\": {}, \"H\": {:?}}}\n", 0.02 * row as f64, value(row));
+        (0..40).map(row).collect()
+    };
+    let is_known = |log: &Log| match &topic(log, "H").columns {
+        Some(Columns::Array(array)) => !array.unnamed,
+        _ => false,
+    };
+    assert!(is_known(&plain(rows(&matrix).as_bytes())));
+    let transposed = |row: usize| {
+        let own = matrix(row);
+        std::array::from_fn(|at| own[4 * (at % 4) + at / 4])
+    };
+    assert!(is_known(&plain(rows(&transposed).as_bytes())));
+    // Constant ones may be a camera's mount.
+    assert!(!is_known(&plain(rows(&|_| matrix(3)).as_bytes())));
+    assert!(!is_known(&plain(rows(&|row| matrix(row).map(|it| 2.0 * it)).as_bytes())));
+}
+
+#[test]
+fn rotation_matrices_join_the_position() {
+    let row = |row: usize| {
+        let t = 0.02 * row as f64;
+        format!("{{\"t\": {t}, \"p\": [{t}, 0.2, 0.3], \"R\": {:?}}}\n", turn(row))
+    };
+    let log = plain((0..40).map(row).collect::<String>().as_bytes());
+    let (width, values) = array(&log, "p");
+    assert_eq!((width, values[3], values[7]), (12, 0.0, 0.2));
+}

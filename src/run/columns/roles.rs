@@ -7,6 +7,7 @@ use crate::diagnosis::{
 };
 use crate::finding::Unit;
 
+use super::cells::NumberKind;
 use super::{ColumnQuestion, ColumnSearch};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -322,6 +323,20 @@ impl ColumnSearch<'_> {
             return (mapping.position.to_vec(), "no adjacent rotation".to_owned());
         }
         let mut is_at_rest = false;
+        // Another array, such as `rotation` next to `position`.
+        let arrays = || {
+            let all: Vec<usize> = (0..numbers.len()).collect();
+            let whole = all.chunk_by(|&one, &other| table.home(one) == table.home(other));
+            let is_other = |own: &&[usize]| {
+                matches!(own.len(), 3 | 4 | 9)
+                    && table.home(own[0]) != home
+                    && own.iter().all(|at| {
+                        let is_open = numbers[*at].kind == NumberKind::Unidentified;
+                        is_open && !mapping.joints.contains(at) && !wanted.taken.contains(at)
+                    })
+            };
+            whole.filter(is_other).map(<[usize]>::to_vec).collect::<Vec<_>>()
+        };
         for (from, count) in [(first + 3, 4), (first - 4, 4), (first + 3, 3), (first - 3, 3)] {
             let Some(columns) = block(from, &sixteen[..count]) else { continue };
             match turns(&columns) {
@@ -333,9 +348,20 @@ impl ColumnSearch<'_> {
                 None => is_at_rest = true,
             }
         }
+        if let Some(columns) = arrays().into_iter().find(|own| turns(own) == Some(true)) {
+            let reason = format!("{} match FK's rotation", self.label(&columns));
+            let pose = match columns.as_slice() {
+                nine @ [_, _, _, _, _, _, _, _, _] => {
+                    let rows = nine.chunks(3).zip(mapping.position);
+                    rows.flat_map(|(row, position)| row.iter().copied().chain([position])).collect()
+                }
+                _ => [mapping.position.as_slice(), &columns].concat(),
+            };
+            return (pose, reason);
+        }
         let reason = match is_at_rest {
             true => "the tool rotates too little to identify its rotation",
-            false => "no adjacent columns match FK's rotation",
+            false => "no columns match FK's rotation",
         };
         (mapping.position.to_vec(), reason.to_owned())
     }
