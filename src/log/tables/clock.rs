@@ -169,7 +169,8 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
         let description = clock.description.replacen("column", "file", 1);
         Some(Clock { cell: None, description, ..clock })
     };
-    match (best.or_else(of_file), table.rate_hz) {
+    let best = best.or_else(of_file).or_else(|| from_time_steps(table));
+    match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
         (None, None) => clock_by_values(table),
@@ -178,6 +179,38 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
 
 /// Clock that a layout declares; `None` if it leaves the times open.
 ///
+/// Sums the only column that is named as the time since the previous row, such as `dt` or `delta_ms`.
+fn from_time_steps(table: &Table) -> Option<Clock> {
+    let is_step = |name: &str| {
+        let words = names::split_words(name);
+        let is_time =
+            |word: &str| TIME_WORDS.contains(&word) || unit_by_word(word).is_some() && word != "s";
+        match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+            ["dt", units @ ..] => units.iter().all(|unit| unit_by_word(unit).is_some()),
+            ["delta", rest @ ..] => rest.first().is_some_and(|word| is_time(word)),
+            ["time", "step" | "delta", ..] => true,
+            _ => false,
+        }
+    };
+    let mut named =
+        table.columns.iter().filter(|column| column.width == 1 && is_step(&column.name));
+    let column = named.next().filter(|_| named.next().is_none())?;
+    // The first row has no step.
+    let steps = || column.values.iter().map(|step| if step.is_finite() { *step } else { 0.0 });
+    let later = column.values.get(1..)?;
+    if steps().any(|step| step < 0.0) || increases_like_times(later, &column.kind) {
+        return None;
+    }
+    let values = steps().scan(0.0, |sum, step| {
+        *sum += step;
+        Some(*sum)
+    });
+    let times = Column { values: values.collect(), billionths: Vec::new(), ..column.clone() };
+    let clock = from_column(0, &times, None)?;
+    let description = clock.description.replacen("stamps from", "stamps summed from", 1);
+    Some(Clock { cell: None, description, ..clock })
+}
+
 /// # Errors
 /// If the declared columns do not hold times.
 pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>, String> {

@@ -782,6 +782,28 @@ fn a_matrix_by_row_and_column_is_a_pose() {
 }
 
 #[test]
+fn times_since_the_last_row_are_summed() {
+    let table = |name: &str, step: &dyn Fn(usize) -> f64| {
+        csv(&[name, "q1", "q2", "q3", "q4"], 40, |row, at| match at {
+            0 => step(row),
+            _ => (0.1 * (row + 7 * at) as f64).sin(),
+        })
+    };
+    let uneven = |row: usize| if row == 0 { 0.0 } else { 0.02 + 1e-3 * (row % 3) as f64 };
+    let log = plain(table("dt", &uneven).as_bytes());
+    let own = stamps(&log, "q");
+    assert_eq!([own[1] - own[0] + 1, own[3] - own[2]], [21_000_000, 20_000_000]);
+    assert!(log.notes[0].what.starts_with("stamps summed from column 'dt', s"), "{:?}", log.notes);
+    let log = plain(table("delta_ms", &|row| 20.0 + (row % 2) as f64).as_bytes());
+    let own = stamps(&log, "q");
+    assert_eq!(own[2] - own[0], 41_000_000);
+    assert!(plain(table("dt", &|_| 0.02).as_bytes()).notes[0].what.contains("50.0000 rows"));
+    // Elapsed times are not summed.
+    let log = plain(table("dt", &|row| 0.02 * row as f64).as_bytes());
+    assert_eq!(stamps(&log, "q")[39], 780_000_000);
+}
+
+#[test]
 fn joints_named_by_parts_have_positions_and_velocities() {
     const PARTS: [&str; 6] =
         ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
