@@ -381,11 +381,32 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     /// More increasing columns, copies included, are ramps rather than clocks.
     const MAX_INCREASING_COLUMNS: usize = 2;
     let none = || {
+/// Whether fractions of seconds are in microseconds: in nanoseconds, all rows of a second would lie within 1 ms.
+fn are_micros<'a>(
+    seconds: impl Iterator<Item = &'a f64>,
+    nanos: impl Iterator<Item = &'a f64>,
+) -> bool {
+    const MICROS_PER_SECOND: f64 = 1e6;
+    /// Rows may start with each second, so smaller fractions show nothing.
+    const MIN_LARGEST: f64 = 0.5 * MICROS_PER_SECOND;
+    const MIN_ROWS_PER_SECOND: usize = 2;
+    let (mut largest, mut rows, mut changes, mut last) = (0.0_f64, 0, 1, None);
+    for (second, fraction) in seconds.zip(nanos) {
+        largest = largest.max(*fraction);
+        changes += usize::from(last.is_some_and(|last| last != *second));
+        last = Some(*second);
+        rows += 1;
+    }
+    (MIN_LARGEST..MICROS_PER_SECOND).contains(&largest) && rows >= MIN_ROWS_PER_SECOND * changes
+}
+
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
         ClockError::NoTimes(match named.next() {
             Some(column) => {
                 format!(
                     "column '{}' is named as a time, but {}",
+    /// In fewer rows, any numbers may increase evenly.
+    const MIN_ROWS: usize = 5;
                     column.name,
                     why_not_times(column)
                 )
@@ -407,6 +428,9 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
+    if table.rows < MIN_ROWS {
+        return Err(none());
+    }
             let own = Column { kind, width: 1, values, ..Column::default() };
             let Some(clock) = from_column(at, &own, None).filter(|_| increases_evenly(&own.values))
             else {
@@ -435,11 +459,13 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
             Ok(Clock { description, unnamed_column: Some(name), ..clock })
         }
         several => {
-            let names: Vec<String> =
-                several.iter().map(|(name, ..)| format!("time = \"{name}\"")).collect();
+            const MAX_SHOWN: usize = 3;
+            let shown = several.iter().take(MAX_SHOWN);
+            let names: Vec<String> = shown.map(|(name, ..)| format!("time = \"{name}\"")).collect();
+            let more = if several.len() > MAX_SHOWN { ", or another" } else { "" };
             Err(ClockError::Other(format!(
-                "{} columns increase like times, and no name shows which one to use: {}",
-                names.len(),
+                "{} columns increase like times, and no name shows which one to use: {}{more}",
+                several.len(),
                 names.join(", or ")
             )))
         }

@@ -894,3 +894,9 @@ fn rotation_matrices_join_the_position() {
     let (width, values) = array(&log, "p");
     assert_eq!((width, values[3], values[7]), (12, 0.0, 0.2));
 }
+
+#[test]
+fn few_rows_have_no_times_by_their_numbers() {
+    let error = refusal(b"0.1,0.5,3.2,1.9\n0.2,0.4,3.3,1.1\n0.3,0.2,3.1,1.7\n");
+    assert!(error.contains("no column holds times"), "{error}");
+}
