@@ -90,6 +90,8 @@ pub(super) struct Clock {
     pub cell: Option<(usize, usize)>,
     /// Set if `cell` holds whole seconds.
     pub nanos: Option<(usize, usize)>,
+    /// Whether `nanos` holds microseconds.
+    pub is_fraction_in_micros: bool,
     /// Origin of the stamps.
     pub description: String,
     /// Set if identified by its numbers.
@@ -177,8 +179,6 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     }
 }
 
-/// Clock that a layout declares; `None` if it leaves the times open.
-///
 /// Sums the only column that is named as the time since the previous row, such as `dt` or `delta_ms`.
 fn from_time_steps(table: &Table) -> Option<Clock> {
     let is_step = |name: &str| {
@@ -211,6 +211,8 @@ fn from_time_steps(table: &Table) -> Option<Clock> {
     Some(Clock { cell: None, description, ..clock })
 }
 
+/// Clock that a layout declares; `None` if it leaves the times open.
+///
 /// # Errors
 /// If the declared columns do not hold times.
 pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>, String> {
@@ -333,10 +335,12 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         column.values.iter().skip(part).step_by(column.width)
     });
     let second = NANOS_PER_SECOND as f64;
+    let micros = are_micros(seconds.clone(), nanos.clone());
+    let unit = if micros { 1e3 } else { 1.0 };
     let stamp = |(seconds, nanos): (&f64, &f64)| -> Option<i64> {
         let is_whole = seconds.fract() == 0.0 && (0.0..9e9).contains(seconds);
         let whole = (is_whole && (0.0..second).contains(nanos)).then_some(*seconds as i64)?;
-        whole.checked_mul(NANOS_PER_SECOND)?.checked_add(nanos.round() as i64)
+        whole.checked_mul(NANOS_PER_SECOND)?.checked_add((unit * nanos).round() as i64)
     };
     let stamps: Vec<Option<i64>> = seconds.zip(nanos).map(stamp).collect();
     let known: Vec<i64> = stamps.iter().flatten().copied().collect();
@@ -354,12 +358,13 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         return None;
     }
     let name = |at: usize| &table.columns[at].name;
+    let fraction = if micros { "µs, because it never reaches 1 ms in ns" } else { "ns" };
     let description = match cells {
         [(one, _), (other, _)] if one == other => {
-            format!("stamps from column '{}', s and ns", name(one))
+            format!("stamps from column '{}', s and {fraction}", name(one))
         }
         [(one, _), (other, _)] => {
-            format!("stamps from columns '{}', s, and '{}', ns", name(one), name(other))
+            format!("stamps from columns '{}', s, and '{}', {fraction}", name(one), name(other))
         }
     };
     let [cell, nanos] = cells;
@@ -367,6 +372,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         stamps,
         cell: Some(cell),
         nanos: Some(nanos),
+        is_fraction_in_micros: micros,
         description,
         unnamed_column: None,
         unit_s: None,
@@ -375,12 +381,6 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     })
 }
 
-/// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
-/// as the same column.
-fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
-    /// More increasing columns, copies included, are ramps rather than clocks.
-    const MAX_INCREASING_COLUMNS: usize = 2;
-    let none = || {
 /// Whether fractions of seconds are in microseconds: in nanoseconds, all rows of a second would lie within 1 ms.
 fn are_micros<'a>(
     seconds: impl Iterator<Item = &'a f64>,
@@ -400,13 +400,19 @@ fn are_micros<'a>(
     (MIN_LARGEST..MICROS_PER_SECOND).contains(&largest) && rows >= MIN_ROWS_PER_SECOND * changes
 }
 
+/// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
+/// as the same column.
+fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
+    /// More increasing columns, copies included, are ramps rather than clocks.
+    const MAX_INCREASING_COLUMNS: usize = 2;
+    /// In fewer rows, any numbers may increase evenly.
+    const MIN_ROWS: usize = 5;
+    let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
         ClockError::NoTimes(match named.next() {
             Some(column) => {
                 format!(
                     "column '{}' is named as a time, but {}",
-    /// In fewer rows, any numbers may increase evenly.
-    const MIN_ROWS: usize = 5;
                     column.name,
                     why_not_times(column)
                 )
@@ -422,15 +428,15 @@ fn are_micros<'a>(
             },
         })
     };
+    if table.rows < MIN_ROWS {
+        return Err(none());
+    }
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
     for (at, column) in table.columns.iter().enumerate() {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
-    if table.rows < MIN_ROWS {
-        return Err(none());
-    }
             let own = Column { kind, width: 1, values, ..Column::default() };
             let Some(clock) = from_column(at, &own, None).filter(|_| increases_evenly(&own.values))
             else {
@@ -590,6 +596,7 @@ pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
         stamps: (0..table.rows).map(stamp).collect(),
         cell: None,
         nanos: None,
+        is_fraction_in_micros: false,
         description: format!(
             "stamps generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
              columns"
@@ -686,6 +693,7 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
         stamps: values.iter().enumerate().map(nanos).collect(),
         cell: Some((at, 0)),
         nanos: None,
+        is_fraction_in_micros: false,
         description,
         unnamed_column: None,
         unit_s: (is_declared || unit != 1.0).then_some(unit),
@@ -756,6 +764,12 @@ impl Clock {
 
     pub fn contradiction(&self, table: &Table) -> Option<String> {
         const MAX_RATE_DEVIATION: f64 = 0.02;
+        if let (Some((at, _)), true) = (self.nanos, self.is_fraction_in_micros) {
+            let name = &table.columns[at].name;
+            let is_named =
+                names::split_words(name).iter().any(|word| unit_by_word(word) == Some(1e-9));
+            return is_named.then(|| format!("the name '{name}' indicates ns, but it counts µs"));
+        }
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
         ((own_hz / rate_hz - 1.0).abs() > MAX_RATE_DEVIATION && self.cell.is_some()).then(|| {
             format!(

@@ -782,6 +782,28 @@ fn a_matrix_by_row_and_column_is_a_pose() {
 }
 
 #[test]
+fn fractions_that_never_reach_a_millisecond_are_microseconds() {
+    let names = ["sec", "nanosec", "q1", "q2", "q3", "q4"];
+    let text = |step: usize| {
+        csv(&names, 60, |row, at| match at {
+            0 => (1_700_000_000 + step * row / 1_000_000) as f64,
+            1 => (step * row % 1_000_000) as f64,
+            _ => row as f64,
+        })
+    };
+    let log = plain(text(50_000).as_bytes());
+    assert!(stamps(&log, "q").windows(2).all(|pair| pair[1] - pair[0] == 50_000_000));
+    let contradictions = log.contradictions.as_deref().unwrap_or_default();
+    assert!(
+        contradictions.iter().any(|note| note.what.contains("'nanosec'")),
+        "{contradictions:?}"
+    );
+    // One row a second, always a little later.
+    let log = plain(text(1_010_000).as_bytes());
+    assert!(log.contradictions.is_none_or(|all| all.is_empty()));
+}
+
+#[test]
 fn times_since_the_last_row_are_summed() {
     let table = |name: &str, step: &dyn Fn(usize) -> f64| {
         csv(&[name, "q1", "q2", "q3", "q4"], 40, |row, at| match at {
