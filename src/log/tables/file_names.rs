@@ -67,6 +67,19 @@ fn names_content(words: &[String]) -> bool {
 }
 
 impl Table {
+    /// Puts the stream's name before that of the only array, if the file names joints or poses and the array does not:
+    /// `positions` in `left/qpos.parquet`.
+    pub(super) fn name_only_array(&mut self, path: &Path) {
+        const GENERAL_NAMES: [&str; 6] =
+            ["position", "positions", "value", "values", "data", "state"];
+        let mut arrays = self.columns.iter_mut().filter(|column| column.width > 1);
+        let (Some(own), None) = (arrays.next(), arrays.next()) else { return };
+        let is_general = GENERAL_NAMES.contains(&own.name.to_lowercase().as_str());
+        if is_general && names_content(&words_of(path)) {
+            own.name = format!("{}/{}", self.stream_name, own.name);
+        }
+    }
+
     /// Names the only column, and separates stamps before the other numbers unless another file has the times.
     pub(super) fn name_columns(&mut self, name: &str) {
         /// Positions, six joints or poses without times. Their first number may increase in each row.

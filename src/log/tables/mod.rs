@@ -445,6 +445,7 @@ impl Tables {
             table.stream_name = self.stream_names.get(path).cloned().unwrap_or_default();
         }
         if let ([(_, table)], TableFormat::Csv | TableFormat::Npy) = (episodes.as_mut_slice(), kind)
+            table.name_only_array(path);
         {
             if self.is_list_of_times(table) {
                 self.row_times.entry(path.to_owned()).or_default();

@@ -922,3 +922,21 @@ fn few_rows_have_no_times_by_their_numbers() {
     let error = refusal(b"0.1,0.5,3.2,1.9\n0.2,0.4,3.3,1.1\n0.3,0.2,3.1,1.7\n");
     assert!(error.contains("no column holds times"), "{error}");
 }
+
+#[test]
+fn a_file_may_name_its_only_array() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let row = |row: usize| {
+        let q: Vec<f64> = (0..7).map(|joint| (0.1 * (row + joint) as f64).sin()).collect();
+        format!("{{\"timestamp\": {}, \"positions\": {q:?}}}\n", 0.02 * row as f64)
+    };
+    let text: String = (0..40).map(row).collect();
+    let read = |name: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, &text).expect("a file");
+        open(&[path], &ReadOptions::default()).unwrap_or_else(|error| panic!("{error}"))
+    };
+    let is_joints = |topic: &Topic| matches!(topic.columns, Some(Columns::Joints(_)));
+    assert!(read("qpos.jsonl").topics.iter().any(is_joints));
+    assert!(!read("run.jsonl").topics.iter().any(is_joints));
+}
