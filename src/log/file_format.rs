@@ -127,6 +127,19 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
             rtde::FirstLine::Other if tables::is_table_of_text(bytes) => {
                 "a table of text, not of numbers"
             }
+            rtde::FirstLine::Other if tables::is_header_alone(bytes) => {
+                return FileFormat::Known {
+                    looks: "a table with column names and no rows",
+                    instead: "check whether the recorder wrote its rows",
+                };
+            }
+            rtde::FirstLine::Other if tables::is_list_of_numbers(bytes) => {
+                return FileFormat::Known {
+                    looks: "a list with one number per line",
+                    instead: "put the columns of one run side by side, as in \
+                              `paste -d, time.txt joint1.txt joint2.txt > run.csv`",
+                };
+            }
             rtde::FirstLine::Other => "text",
         }
     } else {

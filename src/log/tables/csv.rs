@@ -52,6 +52,26 @@ pub(crate) fn is_table_of_text(bytes: &[u8]) -> bool {
         })
 }
 
+/// Whether its only line names several columns and a time.
+pub(crate) fn is_header_alone(bytes: &[u8]) -> bool {
+    let text = text_encoding::to_utf8(bytes);
+    let mut rows = lines(&text).map(|(_, _, row)| row).filter(|row| !row.is_empty());
+    let (Some(first), None) = (rows.next(), rows.next()) else { return false };
+    [b',', b';', b'\t', b' '].into_iter().any(|delimiter| {
+        let names = cells(first, delimiter);
+        let is_time = |name: &&[u8]| clock::is_time(&String::from_utf8_lossy(name));
+        names.len() >= MIN_CELLS && names.iter().any(is_time)
+    })
+}
+
+/// Whether each of its first lines has one number.
+pub(crate) fn is_list_of_numbers(bytes: &[u8]) -> bool {
+    const CHECKED_ROWS: usize = 100;
+    const MIN_ROWS: usize = 3;
+    let rows = || lines(bytes).map(|(_, _, row)| row).take(CHECKED_ROWS);
+    rows().count() >= MIN_ROWS && rows().all(|row| is_number(row, b';'))
+}
+
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     let text = text_encoding::to_utf8(bytes);

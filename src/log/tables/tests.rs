@@ -940,3 +940,11 @@ fn a_file_may_name_its_only_array() {
     assert!(read("qpos.jsonl").topics.iter().any(is_joints));
     assert!(!read("run.jsonl").topics.iter().any(is_joints));
 }
+
+#[test]
+fn lists_and_headers_alone_are_named_as_such() {
+    let error = refusal(b"-0.9584\n0.5622\n-1.4576\n-2.1\n");
+    assert!(error.contains("one number per line") && error.contains("paste -d,"), "{error}");
+    let error = refusal(b"Time,q1,q2,q3,q4,q5,q6\n");
+    assert!(error.contains("column names and no rows"), "{error}");
+}
