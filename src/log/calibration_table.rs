@@ -7,9 +7,9 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
-use super::tables::{LayoutTime, TableFormat};
+use super::tables::{LayoutGroup, LayoutTime, TableFormat};
 use super::{ColumnSettings, LogError, RowLayout, local};
-use ground::geometry::{AngleUnit, LengthScale, RotationEncoding};
+use ground::geometry::{AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows};
 
 /// Limits in bytes and rows.
 const MAX_BYTES: u64 = 1 << 26;
@@ -127,13 +127,23 @@ fn by_layout(
         ));
     }
     let groups = layout.groups();
-    let Some(group) = groups.iter().find(|group| !group.is_command && !group.position.is_empty())
-    else {
+    let is_matrix = |group: &LayoutGroup| matches!(group.rotation.len(), 12 | 16);
+    let is_measured = |group: &&LayoutGroup| {
+        !group.is_command && (is_matrix(group) || !group.position.is_empty())
+    };
+    let Some(group) = groups.iter().find(is_measured) else {
         return Ok(None);
     };
-    let position = [group.position[0], group.position[1], group.position[2]];
+    let position = match group.position.as_slice() {
+        &[x, y, z] => [x, y, z],
+        _ if is_matrix(group) => append_quaternions(&mut numbers, &group.rotation)?,
+        _ => return Ok(None),
+    };
     let rotation = match (group.rotation.as_slice(), group.coding) {
         ([], _) => RotationColumns::None,
+        _ if is_matrix(group) => {
+            RotationColumns::Quaternion([0, 1, 2, 3].map(|part| layout.width() + part))
+        }
         (&[a, b, c], _) => RotationColumns::Numbers([a, b, c]),
         (&[w, x, y, z], Some(RotationEncoding::Wxyz)) => RotationColumns::Quaternion([x, y, z, w]),
         (&[x, y, z, w], Some(RotationEncoding::Xyzw)) => RotationColumns::Quaternion([x, y, z, w]),
@@ -147,11 +157,31 @@ fn by_layout(
         group.joints.iter().for_each(|&at| row[at] *= joint_unit);
         position.iter().for_each(|&at| row[at] *= length);
     }
-    numbers.names = vec!["_".to_owned(); layout.width()];
+    numbers.names = vec!["_".to_owned(); numbers.width()];
     for (joint, &at) in (1..).zip(&group.joints) {
         numbers.names[at] = format!("q{joint}");
     }
     Ok(Some(CalibrationTable { numbers, positions: vec![position], rotation }))
+}
+
+/// Appends the quaternions of matrices by rows, or by columns if the last row is there. Returns the columns of the
+/// position.
+fn append_quaternions(numbers: &mut NumberTable, matrix: &[usize]) -> Result<[usize; 3], String> {
+    let is_last_row =
+        |row: &[f64], last: [usize; 4]| last.map(|at| row[matrix[at]]) == [0.0, 0.0, 0.0, 1.0];
+    let by_columns =
+        matrix.len() == 16 && numbers.rows.iter().all(|row| is_last_row(row, [3, 7, 11, 15]));
+    let element = |row: usize, column: usize| {
+        matrix[if by_columns { 4 * column + row } else { 4 * row + column }]
+    };
+    for row in &mut numbers.rows {
+        let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|j| row[element(i, j)]));
+        let Some((rotation, _)) = rotation_from_matrix_rows(rows) else {
+            return Err("--columns declares a matrix, but it contains no rotation".to_owned());
+        };
+        row.extend_from_slice(rotation.coords.as_slice());
+    }
+    Ok([0, 1, 2].map(|axis| element(axis, 3)))
 }
 
 fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
@@ -325,6 +355,13 @@ mod tests {
         assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
         assert_eq!(table.numbers.joints(&names(&["a", "b", "c"])), None);
         assert_eq!(read("q[2],_[8]"), Ok(None));
+        let matrix = parse_numbers(b"1;2;0;-1;0;10;1;0;0;20;0;0;1;30\n").unwrap();
+        let table = by_layout(matrix, &"q[2],matrix[12]:mm".parse().unwrap()).unwrap().unwrap();
+        let (row, [p]) = (&table.numbers.rows[0], table.positions.as_slice()) else { panic!() };
+        assert_eq!(p.map(|at| row[at]), [0.01, 0.02, 0.03]);
+        let RotationColumns::Quaternion(q) = table.rotation else { panic!("{table:?}") };
+        let [x, y, z, w] = q.map(|at| row[at]);
+        assert!(x.abs() + y.abs() < 1e-12 && (z - w).abs() < 1e-12, "{row:?}");
         let line = read("q[2],xyz,rot[4],_").unwrap_err();
         assert!(line.contains("needs rotations"), "{line}");
         let line = read("q[2],xyz").unwrap_err();

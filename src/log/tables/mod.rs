@@ -70,7 +70,7 @@ pub(super) use self::records::{
     has_times as has_record_times, is_yaml_list, looks_like_json, looks_like_yaml,
 };
 pub(super) use self::rlds::metadata_files as declared_beside;
-pub(crate) use self::row_layout::LayoutTime;
+pub(crate) use self::row_layout::{LayoutGroup, LayoutTime};
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::text_encoding::is_text;
@@ -445,9 +445,9 @@ impl Tables {
         }
         if let ([(_, table)], None, None) = (episodes.as_mut_slice(), &dataset, wanted) {
             table.stream_name = self.stream_names.get(path).cloned().unwrap_or_default();
+            table.name_only_array(path);
         }
         if let ([(_, table)], TableFormat::Csv | TableFormat::Npy) = (episodes.as_mut_slice(), kind)
-            table.name_only_array(path);
         {
             if self.is_list_of_times(table) {
                 self.row_times.entry(path.to_owned()).or_default();
