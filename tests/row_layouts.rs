@@ -149,6 +149,21 @@ fn a_table_without_times_is_refused_with_its_columns_and_the_rate_of_its_velocit
     assert!(asks && !refusal.what.contains("imply"), "{refusal}");
 }
 
+/// No layout states the order of joints that are named by parts of the arm.
+#[test]
+fn named_joints_without_times_lack_only_the_rate() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows: Vec<Vec<f64>> =
+        Table { poses: false, ..CLEAN }.rows().iter().map(|row| row[1..7].to_vec()).collect();
+    let names = "shoulder_pan,shoulder_lift,elbow,wrist1,wrist2,wrist3\n".to_owned();
+    let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];
+    let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+    assert!(refusal.remedy.starts_with("use --columns '?[6]@RATE'"), "{refusal}");
+    assert!(!refusal.remedy.contains("calibrate"), "{refusal}");
+    let pasted = audit_with(&logs, Some("ur5e"), Some("?[6]@125")).expect("a report");
+    assert_eq!((pasted.error, pasted.robots[0].name.as_str()), (None, "ur5e"));
+}
+
 #[test]
 fn velocities_that_are_named_belong_to_the_proposal() {
     let folder = tempfile::tempdir().expect("a folder");

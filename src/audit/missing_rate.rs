@@ -1,7 +1,9 @@
 //! The columns and the rate of a table whose rows have no times, for the error that asks for the rate.
 
 use super::Options;
-use crate::log::{self, FileLayout, Log, LogError, SourceName};
+use crate::log::{
+    self, Container, FileLayout, LayoutItem, Log, LogError, Meaning, RowLayout, SourceName,
+};
 use crate::report::{Trouble, TroubleKind};
 use crate::run::identify_columns;
 use crate::stream::{Columns, JointColumns};
@@ -38,13 +40,17 @@ struct RateQuestion {
 fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
     let mut log = open_at_assumed_rate(options, None)?;
     identify_columns(&mut log, &options.run);
-    let tables = || log.tables.iter().filter(|table| table.lacks_times);
-    let is_certain = tables().all(|table| table.layout_reason.is_none());
+    let mut tables = log.tables.iter().filter(|table| table.lacks_times);
+    let is_certain = tables.all(|table| table.layout_reason.is_none());
     let mut layouts: Vec<FileLayout> = Vec::new();
-    for table in tables() {
+    for (index, table) in log.tables.iter().enumerate().filter(|(_, table)| table.lacks_times) {
+        let layout = match &table.layout {
+            Some(layout) => layout.parse().ok(),
+            None => open_layout(&log, index),
+        };
         let own = FileLayout {
             file: table.file.file_name().map(|name| name.to_string_lossy().into_owned()),
-            layout: table.layout.as_deref()?.parse().ok()?,
+            layout: layout?,
         };
         if !layouts.contains(&own) {
             layouts.push(own);
@@ -75,13 +81,37 @@ fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
         None => RateQuestion {
             implied: String::new(),
             remedy: format!(
-                "{condition}use {} with the true rows per second as RATE, {or_times}; if each row is a configuration \
-                 at rest, use `poseaudit calibrate` with {}",
+                "{condition}use {} with the true rows per second as RATE, {or_times}{}",
                 with("@RATE"),
-                with("")
+                match may_be_configurations(&log, &layouts) {
+                    true => format!(
+                        "; if each row is a configuration at rest, use `poseaudit calibrate` with {}",
+                        with("")
+                    ),
+                    false => String::new(),
+                }
             ),
         },
     })
+}
+
+/// Leaves the columns of a table to their names, if they show the joints but no layout states them.
+fn open_layout(log: &Log, table: usize) -> Option<RowLayout> {
+    let has_joints = log.topics.iter().any(|topic| {
+        matches!(topic.columns, Some(Columns::Joints(_)))
+            && topic.cells.first().is_some_and(|cell| cell.table == table)
+    });
+    let count = log.tables[table].numbers.len();
+    has_joints.then(|| RowLayout::new(vec![LayoutItem::new(Meaning::Open, count)], None).ok())?
+}
+
+/// Whether `calibrate` reads the tables with these layouts.
+fn may_be_configurations(log: &Log, layouts: &[FileLayout]) -> bool {
+    let has_joints = |layout: &RowLayout| {
+        layout.items().iter().any(|item| item.meaning == Meaning::Joints && !item.is_command)
+    };
+    layouts.iter().all(|own| has_joints(&own.layout))
+        && log.files.iter().all(|file| file.container == Container::Csv)
 }
 
 fn open_at_assumed_rate(options: &Options, layouts: Option<&[FileLayout]>) -> Option<Log> {
