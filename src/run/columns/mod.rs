@@ -469,20 +469,19 @@ impl<'a> ColumnSearch<'a> {
         let mut first = 0;
         while first < self.cells.numbers.len() && suggestions.is_empty() {
             let home = table.home(first);
-            let width =
-                (first..self.cells.numbers.len()).take_while(|&at| table.home(at) == home).count();
+            let is_next = |at: usize| table.home(at) == home && self.are_alike(&[first, at]);
+            let width = (first..self.cells.numbers.len()).take_while(|&at| is_next(at)).count();
             let topic = &log.topics[self.cells.numbers[first].at.0];
             let is_command = array_role(&topic.name, width, false).0 == Role::Reference;
             for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
                 let dof = chain.dof();
                 let blocks = || -> Vec<JointColumns> { table.blocks(&wanted, arm) };
-                let is_block = |blocks: &[JointColumns], from: usize| {
+                let unit_of = |blocks: &[JointColumns], from: usize| {
                     let is_it = |block: &&JointColumns| {
                         block.joints.iter().copied().eq(from..from + dof)
                             && !matches!(block.unit, JointValueUnit::Ticks { .. })
                     };
-                    let found = blocks.iter().find(is_it);
-                    found.is_some_and(|block| self.are_alike(&block.joints))
+                    blocks.iter().find(is_it).map(|block| block.unit)
                 };
                 // The one number more is the gripper, last or first.
                 let is_gripper_first = || {
@@ -497,12 +496,17 @@ impl<'a> ColumnSearch<'a> {
                     _ => continue,
                 };
                 let blocks = blocks();
-                if !each.iter().all(|&from| is_block(&blocks, from)) {
+                let Some(units) =
+                    each.iter().map(|&from| unit_of(&blocks, from)).collect::<Option<Vec<_>>>()
+                else {
                     continue;
-                }
+                };
+                // Torques behind the joints have other units than a second arm.
+                let is_single = units.len() > 1 && units.windows(2).any(|pair| pair[0] != pair[1]);
+                let each = if is_single { &each[..1] } else { &each[..] };
                 let joints = |from: usize| (from..from + dof).collect::<Vec<usize>>();
                 let content = Content::Joints(None);
-                let suggestion = match each.as_slice() {
+                let suggestion = match each {
                     [only] => self.answer_with_joints(&joints(*only)),
                     [left, right, ..] => self.answer(&[
                         (Some("left"), content, &joints(*left)),
