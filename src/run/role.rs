@@ -94,6 +94,11 @@ pub(super) const DETECTION_WORDS: &[&str] = &[
 
 /// Of [`DETECTION_WORDS`], also used for tracked bodies on a tool.
 const BODY_WORDS: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
+/// Words of things that a gripper carries at times, in poses without frames. They follow the arm then.
+const CARRIED_WORDS: &[&str] = &[
+    "object", "objects", "obj", "cube", "cubes", "block", "blocks", "box", "ball", "bottle", "cup",
+    "mug", "bowl", "peg", "obstacle",
+];
 /// Of [`COMMAND_WORDS`], also used for tracked bodies on a tool.
 const TARGET_WORDS: &[&str] = &["target", "targets"];
 
@@ -235,6 +240,10 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if let Some(word) = find_word(&topic_words, DETECTION_WORDS) {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
     }
+    let has_frames = (pose.frame, pose.child) != (FrameKind::Unnamed, FrameKind::Unnamed);
+    if let Some(word) = carried_word(&topic_words).filter(|_| !has_frames) {
+        return (Role::Target, format!("an object, by the word '{word}' in its name"));
+    }
     if pose.child != FrameKind::MovingLink && is_of_camera {
         return (Role::Target, format!("seen by a camera: its frame is '{frame_id}'"));
     }
@@ -334,6 +343,9 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
     if let Some(word) = find_word(&topic_words, NON_POSE_WORDS) {
         return (Role::Ignored, format!("not a pose, by the word '{word}' in its name"));
     }
+    if let Some(word) = carried_word(&topic_words) {
+        return (Role::Unassigned, format!("an object, by the word '{word}' in its name"));
+    }
     if !is_pose_width {
         return (
             Role::Ignored,
@@ -373,6 +385,11 @@ fn decisive_words(topic: &str) -> Vec<String> {
     let is_clear = tool_word(topic).is_some() || name.starts_with("joint_state");
     let segments = segments.filter(|words| !is_clear || words.len() == 1);
     segments.flatten().chain(split_words(name)).collect()
+}
+
+/// Word of an object, unless the name also has a tool.
+fn carried_word(topic_words: &[String]) -> Option<&'static str> {
+    find_word(topic_words, CARRIED_WORDS).filter(|_| find_word(topic_words, TOOL_WORDS).is_none())
 }
 
 /// Word for a tool in the topic's last segment.
@@ -489,6 +506,9 @@ mod tests {
             ("/aruco_marker/pose", ("world", Unknown), none, Role::Target),
             ("/target/command", ("world", Unknown), none, Role::Reference),
             ("/object_pose", none, none, Role::Target),
+            ("cube_position", none, none, Role::Target),
+            ("cube_task/ee_pos", none, none, weak),
+            ("/vrpn/cube", map, none, weak),
             ("/vision/pose", ("camera_color_optical_frame", MovingLink), none, Role::Target),
             ("/hand_pose", base, none, strong),
             ("/hand_pose", ("world", StaticallyTied), none, weak),
@@ -517,6 +537,7 @@ mod tests {
         for (topic, width, declared, expected) in [
             ("/recorded/values", 6, false, candidate),
             ("/recorded/values", 6, true, Role::Pose),
+            ("cube/pose", 7, false, Role::Unassigned),
             ("/ur/actual_tcp_pose", 6, false, presumed),
             ("/O_T_EE", 16, false, presumed),
             ("/franka_state_controller/franka_states.O_T_EE", 16, false, presumed),
