@@ -781,6 +781,7 @@ fn a_matrix_by_row_and_column_is_a_pose() {
     assert_eq!((width, values[3]), (16, 4.0));
 }
 
+/// Fractions in microseconds, as in `struct timeval`.
 #[test]
 fn fractions_that_never_reach_a_millisecond_are_microseconds() {
     let names = ["sec", "nanosec", "q1", "q2", "q3", "q4"];
