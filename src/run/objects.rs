@@ -1,4 +1,4 @@
-//! Recognises poses of objects: they rest while the joints move the tool. The tool may carry them in another part of the run.
+//! Recognises poses of objects: they rest while the joints move the tool, also if the tool carries them later.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -22,18 +22,18 @@ const MIN_DURATION_S: f64 = 1.0;
 const MAX_GAP_S: f64 = 1.0;
 
 impl Run {
-    /// How far the joints move the tool while the pose of `source` rests, m, at the latencies at which the pose follows the
-    /// tool when it moves. `None` if it may be a pose of the tool.
-    pub(super) fn motion_beside_rest_m(
+    /// Largest motion of the tool by the joints while the pose of `source` rests, m. Applies the latencies at which the moving
+    /// pose follows the tool. `None` if the pose may be of the tool.
+    pub(super) fn motion_during_rests_m(
         &self,
         arm: &Arm,
         source: &PoseSource,
         max_lag_s: f64,
     ) -> Option<f64> {
         const MIN_MOVING_SAMPLES: usize = 10;
-        /// Tried on either side for a pose that never moves.
+        /// Latencies on either side of 0, for a pose that never moves.
         const LAGS: i32 = 8;
-        /// Of the motion of the tool to the distances that count as rest. Noise of sparse samples contains their motion.
+        /// Ratio of the tool's motion to the radius of a rest. With sparse samples, the noise estimate contains motion.
         const MIN_MOTION_RATIO: f64 = 5.0;
         let track = &source.track;
         let radius = rest_radius(track);
@@ -58,8 +58,8 @@ impl Run {
         moved.reduce(f64::max)
     }
 
-    /// Excludes these streams, each with the motion of the tool beside its rest. Reports those in a frame of the robot, once
-    /// per topic: a simulator's topic has all bodies of its world.
+    /// Excludes streams of objects; each has the motion of the tool during its rest. Reports streams in a frame of the robot,
+    /// once per topic: a simulator's topic has all bodies of its world.
     pub(super) fn exclude_objects(&mut self, objects: &[(usize, f64)]) {
         let mut topics: BTreeMap<String, (usize, Vec<String>, f64)> = BTreeMap::new();
         for &(stream, moved_m) in objects {
@@ -89,9 +89,9 @@ impl Run {
 
 /// Largest distance between positions at rest.
 fn rest_radius(track: &PoseTrack) -> f64 {
-    /// Standard deviations between two samples.
+    /// Ratio to the standard deviation of the noise.
     const MAX_NOISE_RATIO: f64 = 8.0;
-    /// Of the extent of the positions.
+    /// Share of the extent of the positions.
     const MAX_EXTENT_SHARE: f64 = 0.005;
     let axis = |axis: usize| track.xyz.iter().map(move |xyz| xyz[axis]);
     let noise = Vec3::from_fn(|i, _| sample_noise(&axis(i).collect::<Vec<f64>>())).norm();
@@ -130,7 +130,7 @@ fn may_be_frozen(track: &PoseTrack, (first, last): (usize, usize)) -> bool {
 }
 
 impl PoseSource {
-    /// How far FK moves the link during the rest, m: the least of all lags. `None` if a constant tool could rest then.
+    /// Motion of the link by FK during the rest, m: the smallest over all lags. `None` if a rigid tool could rest then.
     fn motion_during(
         &self,
         joints: &JointTrack,
@@ -148,12 +148,12 @@ impl PoseSource {
         moved.reduce(|a, b| Some(a?.min(b?)))?
     }
 
-    /// `None` if some constant tool rests, or the joints hardly move.
+    /// `None` if some rigid tool rests, or the joints move too little.
     fn fk_motion_without_rest(&self, joints: &JointTrack, span_s: [f64; 2]) -> Option<f64> {
         const MIN_TURN_RAD: f64 = 0.35;
-        /// Of the tool.
+        /// Longest tool considered.
         const MAX_LENGTH_M: f64 = 0.5;
-        /// Of the range of a joint. In a wrong unit, noise may move FK.
+        /// Minimum motion of a joint, as a share of its range: in a wrong unit, noise moves FK.
         const MIN_RANGE_SHARE: f64 = 0.1;
         let [from, to] = span_s.map(|at_s| joints.t_s.partition_point(|t_s| *t_s < at_s));
         let all = 0..joints.len();

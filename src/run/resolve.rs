@@ -521,7 +521,10 @@ fn exclude_unmoved(run: &mut Run, max_lag_s: f64) {
     for arm in &run.arms {
         for source in &arm.poses {
             let Some(Stream { topic, role, .. }) = run.streams.get(source.stream) else { continue };
-            let is_candidate = matches!(role, Role::Candidate { .. });
+            let may_be_object = matches!(role, Role::Candidate { .. })
+                && tool_word(topic).is_none()
+                && source.moving_base.is_none()
+                && arm.trajectory.is_none();
             let may_stop = match role {
                 Role::Pose => true,
                 Role::Candidate { presumed } => *presumed && bodies[topic.as_str()].len() == 1,
@@ -533,8 +536,8 @@ fn exclude_unmoved(run: &mut Run, max_lag_s: f64) {
                 let reason = NotAuditedReason::NeverChanges { samples, moved_m };
                 let why = "all its poses are the same while the joints move the tool".to_owned();
                 unmoved.push((NotAudited { stream: source.stream, reason }, why));
-            } else if is_candidate && source.moving_base.is_none() && arm.trajectory.is_none() {
-                let moved_m = run.motion_beside_rest_m(arm, source, max_lag_s);
+            } else if may_be_object {
+                let moved_m = run.motion_during_rests_m(arm, source, max_lag_s);
                 objects.extend(moved_m.map(|moved_m| (source.stream, moved_m)));
             }
         }
