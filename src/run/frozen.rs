@@ -67,7 +67,9 @@ pub(super) fn remove_frozen(
     for (first, last) in holds {
         let hold = (track.t_s[first], track.t_s[last]);
         let moved = min_motion(joints, (columns, &rests), hold, max_lag_s).unwrap_or(0.0);
-        if moved > 0.0 {
+        // An object at rest that the arm picks up does not jump.
+        let may_be_object = !known && last + 1 < track.t_s.len() && !jumps_after(track, last);
+        if moved > 0.0 && !may_be_object {
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
             frozen.push(FrozenSpan {
                 stream,
