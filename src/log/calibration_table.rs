@@ -9,7 +9,9 @@ use csv::{ReaderBuilder, Trim};
 use super::file_format::{self, FileFormat};
 use super::tables::{LayoutGroup, LayoutTime, TableFormat};
 use super::{ColumnSettings, LogError, RowLayout, local};
-use ground::geometry::{AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows};
+use ground::geometry::{
+    AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows, xyzw_from_rotation,
+};
 
 /// Limits in bytes and rows.
 const MAX_BYTES: u64 = 1 << 26;
@@ -179,7 +181,7 @@ fn append_quaternions(numbers: &mut NumberTable, matrix: &[usize]) -> Result<[us
         let Some((rotation, _)) = rotation_from_matrix_rows(rows) else {
             return Err("--columns declares a matrix, but it contains no rotation".to_owned());
         };
-        row.extend_from_slice(rotation.coords.as_slice());
+        row.extend(xyzw_from_rotation(&rotation));
     }
     Ok([0, 1, 2].map(|axis| element(axis, 3)))
 }

@@ -360,7 +360,7 @@ pub fn rename_frame(messages: &mut [Message], topic: &str, step: usize) {
     }
 }
 
-/// Freezes the samples of `topic` received from `from_s` to `to_s` at the first of them.
+/// Freezes the samples of `topic` received from `from_s` to `to_s` at their first value.
 pub fn freeze_samples(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
@@ -405,7 +405,7 @@ pub fn carry(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     }
 }
 
-/// Sets the poses of `topic` received in one of `spans_s` to those of a tracker that lost its target: zero, not rotated.
+/// Sets the poses of `topic` received in one of `spans_s` to zero without rotation, as a tracker without a target does.
 pub fn lose_target(messages: &mut [Message], topic: &str, spans_s: &[(f64, f64)]) {
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
