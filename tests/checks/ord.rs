@@ -10,7 +10,7 @@ use poseaudit::geometry::{
     xyzw_from_rotation,
 };
 use poseaudit::report::Report;
-use poseaudit::synth::{IMU, JOINT_STATES, LoggedEncoding, Motion, POSE};
+use poseaudit::synth::{IMU, JOINT_STATES, LoggedEncoding, Motion, POSE, Task};
 
 use crate::checks::case::ExpectedEstimate::{self, Degrees, IsReadAs, Order};
 use crate::checks::case::ExpectedSubject::{self, JointOf, Topic};
@@ -230,6 +230,11 @@ cases! {
     ORD009 a_reversed_wrist: |log| {
         log.run.joints.scales = vec![1.0, 1.0, 1.0, 1.0, 1.0, -1.0];
     } => error(JointOf(JOINT_STATES, "wrist_3_joint"), ExpectedEstimate::Amount(-1.0, 1e-3));
+    ORD009 a_reversed_wrist_of_a_noisy_small_motion: |log| {
+        log.run.joints.scales = vec![1.0, 1.0, 1.0, 1.0, 1.0, -1.0];
+        log.run.motion = Motion::Task(Task::Servoing);
+        (log.run.noise.pose_m, log.run.noise.pose_rad) = (8e-4, 2e-3);
+    } => error(JointOf(JOINT_STATES, "wrist_3_joint"), ExpectedEstimate::Amount(-1.0, 0.02));
     ORD009 a_gear_ratio_applied_twice: |log| log.run.joints.scales = vec![1.0, 0.5]
         => error(JointOf(JOINT_STATES, "shoulder_lift_joint"), ExpectedEstimate::Amount(2.0, 2e-3));
     ORD009 positions_in_encoder_ticks: |log| log.run.joints.scales = vec![4096.0 / TAU; 6]

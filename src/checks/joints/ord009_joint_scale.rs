@@ -157,7 +157,9 @@ fn fault(
     residual: &UnitResiduals,
 ) -> Fault {
     let factor = as_logged(arm, scale.factor).value;
-    let (title, what) = if is_same_factor(factor, -1.0) {
+    let is_reversed =
+        is_same_factor(factor, -1.0) || (factor + 1.0).abs() < scale.factor.half_width(0.95);
+    let (title, what) = if is_reversed {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
     } else {
         ("joint scale is wrong", describe_scale(arm, scale))
@@ -168,21 +170,28 @@ fn fault(
         offset if offset < 0.0 => format!(" - {:.5}", -offset),
         offset => format!(" + {offset:.5}"),
     };
+    let by = if is_reversed { "-1".to_owned() } else { show_factor(factor) };
     let (before, after) =
         (Unit::Metre.show(residual.as_logged), Unit::Metre.show(residual.corrected));
+    // Only rotations show the last joint.
+    let is_in_positions = residual.corrected < residual.as_logged;
+    let seen = match is_in_positions {
+        true => format!("{before} off as logged"),
+        false => "as only the rotations show".to_owned(),
+    };
     Fault {
         severity: Severity::Error,
         cause: Cause::JointScale(
             joints.iter().filter_map(|scale| correction(arm, scale)).collect(),
         ),
         title,
-        message: format!("{who}{what}, {before} off as logged"),
+        message: format!("{who}{what}, {seen}"),
         evidence: Evidence {
-            effect: Some(format!("{after} once multiplied by {}", show_factor(factor))),
-            effect_m: Some(residual.as_logged),
+            effect: is_in_positions.then(|| format!("{after} once multiplied by {by}")),
+            effect_m: is_in_positions.then_some(residual.as_logged),
             ..Evidence::default()
         },
-        fix: format!("q_true = {} · q_reported{offset}", show_factor(factor)),
+        fix: format!("q_true = {by} · q_reported{offset}"),
     }
 }
 

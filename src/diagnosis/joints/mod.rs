@@ -69,7 +69,7 @@ pub(super) fn estimate_joint_encoding(
     let (stream, scale) =
         most_informative(streams, scales).ok_or(NotObservable::RestsOn("a pose of the tool"))?;
     let chain = stream.chain;
-    let noise_m = scale * position_noise(stream);
+    let max_noise_m = |extent_m: f64| max_noise_m(stream, *scale, extent_m);
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
     for lag_s in latency_candidates(joints, stream, max_lag_s) {
@@ -87,9 +87,8 @@ pub(super) fn estimate_joint_encoding(
         }
         extent = spread(&samples.xyz).max(0.01).min(extent);
         let misfit_m = misfit(chain, &samples);
-        let max_noise_m =
-            (MAX_NOISE_RATIO * noise_m).min(MAX_LOGGED_RESIDUAL_SHARE * spread(&samples.xyz));
-        if misfit_m <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m)
+        if misfit_m
+            <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m(spread(&samples.xyz)))
             || tool_misfit(chain, &samples) <= MAX_LOGGED_RESIDUAL_SHARE * extent
         {
             return Ok(JointEncoding::default());
@@ -98,7 +97,9 @@ pub(super) fn estimate_joint_encoding(
         at_lags.push(samples);
     }
     let max_residual = ResidualSize {
-        m: (MAX_RESIDUAL_SHARE * extent).min(as_logged / MIN_RESIDUAL_RATIO),
+        m: (MAX_RESIDUAL_SHARE * extent)
+            .max(max_noise_m(extent))
+            .min(as_logged / MIN_RESIDUAL_RATIO),
         rad: Some(MAX_RESIDUAL_RAD),
     };
     let views: Vec<Vec<InterpretedPoses>> =
@@ -191,8 +192,9 @@ pub(super) fn other_encoding(
         && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
     let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &samples) } else { 0.0 };
     let better_m = (as_logged.m / MIN_RESIDUAL_RATIO).max(2e-4).max(stay_m);
+    let extent_m = spread(&samples.xyz).max(0.01);
     let max_residual = ResidualSize {
-        m: (MAX_RESIDUAL_SHARE * spread(&samples.xyz).max(0.01)).min(better_m),
+        m: (MAX_RESIDUAL_SHARE * extent_m).max(max_noise_m(stream, scale, extent_m)).min(better_m),
         rad: as_logged.rad.map(|rad| (rad / MIN_RESIDUAL_RATIO).clamp(1e-3, MAX_RESIDUAL_RAD)),
     };
     // Only the last joint does not move the positions.
@@ -564,6 +566,11 @@ fn tool_misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
     let expected = FkColumns::from_poses(&poses);
     let plain = expected.tool_misfit(&samples.xyz);
     samples.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
+}
+
+/// Largest position residual that counts as noise, m. `scale` converts the stream's positions to metres.
+fn max_noise_m(stream: &PoseStream, scale: f64, extent_m: f64) -> f64 {
+    (MAX_NOISE_RATIO * scale * position_noise(stream)).min(MAX_LOGGED_RESIDUAL_SHARE * extent_m)
 }
 
 /// Rms distance of a position from the mean, due to noise, in the unit of the stream.
