@@ -4,7 +4,7 @@ use crate::model::measurement::{
 };
 use crate::selection::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
-use ground::geometry::pose;
+use ground::geometry::{Pose, pose};
 use ground::stream::{JointTrack, Orientations};
 
 /// Before and after correcting the selected causes.
@@ -74,4 +74,28 @@ pub(super) fn align(
         aligned.q_at_truth.extend_from_slice(truth_sweep.q());
     }
     aligned
+}
+
+/// FK at the times of measurement of aligned samples whose stamps are later by `late_s`. `None` where joint states do not
+/// cover them.
+pub(super) fn fk_at_latency(
+    aligned: &AlignedSamples,
+    decoded: &DecodedStream,
+    model: &SelectedModel,
+    index: usize,
+    late_s: &dyn Fn(f64) -> f64,
+) -> Vec<Option<Pose>> {
+    let StreamState { latency_s, skew, .. } = model.state.streams[index];
+    let state = StreamState { skew, ..StreamState::at_latency(latency_s) };
+    let t_s = aligned.t_s.iter().map(|t_s| t_s - late_s(*t_s)).collect();
+    let observations = PoseObservations {
+        t_s,
+        xyz: Vec::new(),
+        rotation: Vec::new(),
+        ..decoded.observations.clone()
+    };
+    let mut sweep = PredictionBuffers::new(&observations);
+    (0..aligned.t_s.len())
+        .map(|row| observations.pose_at(row, &state, &model.state.offsets, &mut sweep))
+        .collect()
 }

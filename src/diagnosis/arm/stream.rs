@@ -1,6 +1,6 @@
 //! Diagnosis of one stream from a fit.
 
-use super::align::align;
+use super::align::{align, fk_at_latency};
 use super::confounders::measured;
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
@@ -195,7 +195,15 @@ pub(super) fn stream_diagnosis(
         Ok(_) => {
             let speed =
                 |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - stream_state.latency_s);
-            let profile = latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed);
+            // In a moving frame, the corrected poses also depend on the latency.
+            let fk_at = |late_s: &dyn Fn(f64) -> f64| {
+                stream
+                    .moving_frame
+                    .is_none()
+                    .then(|| fk_at_latency(&aligned, decoded, model, index, late_s))
+            };
+            let profile =
+                latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed, fk_at);
             let state = without_small_causes(model, index);
             let is_imitated_by_links = |profile: &LatencyProfile| {
                 let removed = stream.removed_ramp;

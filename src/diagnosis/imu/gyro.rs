@@ -129,6 +129,7 @@ impl Link<'_> {
                     1,
                     model.delay.skew,
                     self.stream.removed_ramp,
+                    |_| None,
                 ),
                 false => Err(NotObservable::AtRest),
             },

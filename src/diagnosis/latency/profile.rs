@@ -27,10 +27,10 @@ mod windows;
 
 use crate::samples::sampling::monotonic_rows;
 use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
 use shapes::{Basis, Fit, likeliest_shape};
-use windows::{NormalizedSample, Window, normalized, windows};
+use windows::{NormalizedSample, Window, noise, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -246,6 +246,7 @@ impl LatencyProfile {
 
 /// Corrected residual at one stamp, and the true velocity. Up to two kinds of vectors, such as position and
 /// rotation; a missing kind is zero.
+#[derive(Clone, Copy)]
 pub(crate) struct LatencySample {
     /// s from the run's origin.
     pub t_s: f64,
@@ -258,38 +259,56 @@ pub(crate) struct LatencySample {
 }
 
 /// Latency profile of `aligned` samples, which are compensated for `skew` and the gradual latency `removed_ramp`.
-/// `speed` returns the joint speed at the time of measurement, rad/s.
+/// `speed` returns the joint speed at the time of measurement, rad/s, and `fk_at` FK at the times of measurement if the
+/// stamps of the samples are later by this latency.
 pub(crate) fn latency_profile(
     aligned: &AlignedSamples,
     skew: f64,
     removed_ramp: Option<&LatencyRamp>,
     speed: impl Fn(f64) -> f64,
+    fk_at: impl Fn(&dyn Fn(f64) -> f64) -> Option<Vec<Option<Pose>>>,
 ) -> EstimateResult<LatencyProfile> {
-    fit_profile(&latency_samples(aligned, speed), 2, skew, removed_ramp)
+    let samples = latency_samples(aligned, speed);
+    let samples_at = |late_s: &dyn Fn(f64) -> f64| {
+        let fk = fk_at(late_s)?;
+        let shifted = samples.iter().zip(1..).filter_map(|(sample, row): (_, usize)| {
+            let measured_s = sample.t_s - late_s(sample.t_s);
+            let then = samples.partition_point(|it| it.t_s < measured_s).min(samples.len() - 1);
+            let LatencySample { velocity, loads, .. } = samples[then];
+            let residual = aligned.residual(row, fk[row].as_ref()?);
+            Some(LatencySample { residual, velocity, loads, ..*sample })
+        });
+        Some(shifted.collect())
+    };
+    fit_profile(&samples, 2, skew, removed_ramp, samples_at)
 }
 
-/// Same from residuals of this many kinds.
+/// Same from residuals of this many kinds. `samples_at` returns them with an additional latency compensated.
 pub(crate) fn fit_profile(
     latency_samples: &[LatencySample],
     kinds: usize,
     skew: f64,
     removed_ramp: Option<&LatencyRamp>,
+    samples_at: impl Fn(&dyn Fn(f64) -> f64) -> Option<Vec<LatencySample>>,
 ) -> EstimateResult<LatencyProfile> {
     /// Of precise windows.
     const MIN_WINDOWS: usize = 4;
     /// Usual delays of drivers are 1 to 2 ms.
     const MAX_STD_ERROR_S: f64 = 2e-3;
-    let mut samples = normalized(latency_samples);
-    if let Some(ramp) = removed_ramp {
-        samples.iter_mut().for_each(|sample| sample.t_s = ramp.logged_s(sample.t_s));
-    }
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+    const GAUSS_NEWTON_STEPS: usize = 2;
+    let logged_s = |t_s: f64| removed_ramp.map_or(t_s, |ramp| ramp.logged_s(t_s));
+    let (Some(first), Some(last)) = (latency_samples.first(), latency_samples.last()) else {
         return Err(NotObservable::AtRest);
     };
-    let middle_s = 0.5 * (first.t_s + last.t_s);
+    let middle_s = 0.5 * (logged_s(first.t_s) + logged_s(last.t_s));
     let removed_s =
         |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.lag_s(t_s));
-    let windows = windows(&samples, 3 * kinds, removed_s);
+    let normalized = |samples: &[LatencySample], noise| normalized(samples, noise, logged_s);
+    let samples = normalized(latency_samples, noise(latency_samples));
+    let windows_of = |samples: &[NormalizedSample], compensated_s: &dyn Fn(f64) -> f64| {
+        windows(samples, 3 * kinds, compensated_s)
+    };
+    let windows = windows_of(&samples, &removed_s);
     if windows.is_empty() {
         return Err(NotObservable::AtRest);
     }
@@ -297,42 +316,81 @@ pub(crate) fn fit_profile(
     if windows.iter().filter(is_precise).count() < MIN_WINDOWS {
         return Err(NotObservable::NotExcited);
     }
-    let Some(fit) = likeliest_shape(&windows) else { return Err(NotObservable::NotExcited) };
-    let profile = LatencyProfile::from_fit(&fit, &windows);
-    if !profile.is_unsteady {
-        return Ok(profile);
+    let mut found = FittedProfile::new(&windows)?;
+    let mut compensated: Option<(FittedProfile, Vec<LatencySample>)> = None;
+    for _ in 0..GAUSS_NEWTON_STEPS {
+        if !found.profile.is_unsteady {
+            break;
+        }
+        let beyond_s = |t_s: f64| found.latency_s(logged_s(t_s)) - removed_s(logged_s(t_s));
+        let Some(shifted) = samples_at(&beyond_s) else { break };
+        let normalized = normalized(&shifted, noise(&shifted));
+        let windows = windows_of(&normalized, &|t_s| found.latency_s(t_s));
+        let next = FittedProfile::new(&windows)?;
+        compensated = Some((std::mem::replace(&mut found, next), shifted));
+    }
+    if !found.profile.is_unsteady {
+        return Ok(found.profile);
     }
     // Latency that remains in the samples, without and with the profile.
-    let mean_s = mean(profile.windows.iter()).map_or(0.0, |mean| mean.value);
+    let mean_s = mean(found.profile.windows.iter()).map_or(0.0, |mean| mean.value);
     let without_s = |t_s: f64| match removed_ramp {
         Some(_) => mean_s - removed_s(t_s),
         None => 0.0,
     };
-    let with_s = |t_s: f64| match fit.basis {
-        Basis::Load(..) => profile.relative_s(t_s),
-        _ => profile.relative_s(t_s) - removed_s(t_s),
+    let is_unsteady = match &compensated {
+        None => {
+            let with_s = |t_s: f64| found.latency_s(t_s) - removed_s(t_s);
+            explains_residual((&samples, &without_s), (&samples, &with_s))
+        }
+        Some((before, shifted)) => {
+            let noise = noise(shifted);
+            let [samples, shifted] =
+                [latency_samples, shifted].map(|samples| normalized(samples, noise));
+            let with_s = |t_s: f64| found.latency_s(t_s) - before.latency_s(t_s);
+            explains_residual((&samples, &without_s), (&shifted, &with_s))
+        }
     };
-    let is_unsteady = explains_residual(&samples, without_s, with_s);
-    Ok(LatencyProfile { is_unsteady, ..profile })
+    Ok(LatencyProfile { is_unsteady, ..found.profile })
 }
 
-/// Whether replacing latency `without_s` by `with_s` explains most of the excess residual without
-/// increasing the position or rotation residual. A model error may imitate latency in one of them, not in
-/// both.
-fn explains_residual(
-    samples: &[NormalizedSample],
-    without_s: impl Fn(f64) -> f64,
-    with_s: impl Fn(f64) -> f64,
-) -> bool {
+/// A profile with the skew beside it.
+struct FittedProfile {
+    profile: LatencyProfile,
+    skew: f64,
+    middle_s: f64,
+}
+
+impl FittedProfile {
+    fn new(windows: &[Window]) -> EstimateResult<Self> {
+        let fit = likeliest_shape(windows).ok_or(NotObservable::NotExcited)?;
+        let (skew, middle_s) = match fit.basis {
+            Basis::Load(_, middle_s) => (fit.levels_s[2], middle_s),
+            _ => (0.0, 0.0),
+        };
+        Ok(Self { profile: LatencyProfile::from_fit(&fit, windows), skew, middle_s })
+    }
+
+    fn latency_s(&self, t_s: f64) -> f64 {
+        self.profile.relative_s(t_s) + self.skew * (t_s - self.middle_s)
+    }
+}
+
+/// Latency that remains at a stamp of samples.
+type RemainingLatency<'a> = (&'a [NormalizedSample], &'a dyn Fn(f64) -> f64);
+
+/// Whether the samples `with` a profile leave less than half of the excess residual `without` it, and no larger position or
+/// rotation residual. A model error may imitate latency in one of them, not in both.
+fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool {
     /// Share of the excess residual.
     const MAX_RESIDUAL_RATIO: f64 = 0.5;
     /// Minimum excess relative to the noise.
     const MIN_EXCESS_SHARE: f64 = 0.1;
     // Residuals are scaled to unit noise.
-    let noise = 3.0 * samples.len() as f64;
-    let square = |kind: usize, with_profile: bool| {
+    let noise = 3.0 * without.0.len() as f64;
+    let square = |kind: usize, (samples, remaining_s): RemainingLatency| {
         let squares = samples.iter().map(|sample| {
-            let delta_s = if with_profile { with_s(sample.t_s) } else { without_s(sample.t_s) };
+            let delta_s = remaining_s(sample.t_s);
             let components = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
             components
                 .map(|(residual, velocity)| (residual + delta_s * velocity).powi(2))
@@ -340,8 +398,7 @@ fn explains_residual(
         });
         (squares.sum::<f64>() - noise).max(0.0)
     };
-    let [before, after] =
-        [false, true].map(|with_profile| [0, 1].map(|kind| square(kind, with_profile)));
+    let [before, after] = [without, with].map(|latency| [0, 1].map(|kind| square(kind, latency)));
     let is_no_worse = (0..2).all(|kind| after[kind] <= before[kind] + 0.1 * noise);
     let has_excess = before[0] + before[1] > MIN_EXCESS_SHARE * noise;
     is_no_worse && has_excess && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
@@ -349,11 +406,8 @@ fn explains_residual(
 
 fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
     let t = &aligned.t_s;
-    let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-    let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
     let rows = 1..t.len().saturating_sub(1);
     rows.map(|k| {
-        let (corrected, expected) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
         let speed = speed(t[k]);
         // The noise of joints at rest is no velocity.
         let velocity = match speed > 0.0 || !aligned.frame_from_base.is_empty() {
@@ -362,7 +416,7 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
         };
         LatencySample {
             t_s: t[k],
-            residual: [position(corrected, expected), rotation(corrected, expected)],
+            residual: aligned.residual(k, &aligned.fk_at_truth[k]),
             velocity,
             loads: [speed, velocity[0].norm()],
             joint_noise: 0.0,

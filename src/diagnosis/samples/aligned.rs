@@ -43,6 +43,13 @@ impl AlignedSamples {
         PoseDistances::between(&self.corrected, &self.fk_at_truth)
     }
 
+    /// Corrected pose minus a predicted one: m, rotation vector in rad.
+    pub(crate) fn residual(&self, row: usize, predicted: &Pose) -> [Vec3; 2] {
+        let corrected = &self.corrected[row];
+        let turn = rotvec_from_rotation(&(corrected.rotation * predicted.rotation.inverse()));
+        [corrected.translation.vector - predicted.translation.vector, turn]
+    }
+
     /// Velocity of `fk_at_truth` in the frame of the logged poses, in the axes of the sample's base: m/s and rad/s.
     pub(crate) fn velocity(&self, row: usize) -> [Vec3; 2] {
         let (from, to) = (row.saturating_sub(1), (row + 1).min(self.t_s.len() - 1));

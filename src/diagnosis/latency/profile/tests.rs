@@ -10,13 +10,23 @@ fn truth(t_s: f64) -> Pose {
 }
 
 fn profile_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
-    latency_profile(aligned, skew, None, |_| 1.0)
+    latency_profile(aligned, skew, None, |_| 1.0, |late_s| Some(fk(aligned, truth, late_s)))
 }
+
+fn fk(aligned: &AlignedSamples, path: Path, late_s: &dyn Fn(f64) -> f64) -> Vec<Option<Pose>> {
+    aligned.t_s.iter().map(|t_s| Some(path(t_s - late_s(*t_s)))).collect()
+}
+
+type Path = fn(f64) -> Pose;
 
 /// Tool speed, m/s.
 fn speed(t_s: f64) -> f64 {
     let velocity = truth(t_s + 0.005).translation.vector - truth(t_s - 0.005).translation.vector;
     velocity.norm() / 0.01
+}
+
+fn with_speed(aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
+    latency_profile(aligned, 0.0, None, speed, |late_s| Some(fk(aligned, truth, late_s)))
 }
 
 /// 20 s at 50 Hz with latency `beyond_s` and model error `bent_m`.
@@ -115,7 +125,8 @@ fn a_ramp_is_estimated_in_stop_and_go_motion() {
         found.corrected.push(logged);
         found.fk_at_truth.push(stop_and_go(t_s));
     }
-    let found = profile_at(&found, 0.0).expect("a profile");
+    let at = |late_s: &dyn Fn(f64) -> f64| Some(fk(&found, stop_and_go, late_s));
+    let found = latency_profile(&found, 0.0, None, |_| 1.0, at).expect("a profile");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{found:?}") };
     assert!((from_s - 12.0).abs() < 1.5 && (to_s - 20.0).abs() < 1.5, "{from_s} {to_s}");
     let off_s = (found.swing_s.value - 0.025).abs();
@@ -127,12 +138,11 @@ fn a_load_dependent_latency_is_estimated_with_its_range() {
     let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
     let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
     let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;
-    let found = latency_profile(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a profile");
+    let found = with_speed(&aligned(late, 1e-4, 0.0)).expect("a profile");
     assert_eq!(found.shape, LatencyShape::WithLoad);
     let swing_s = 0.015 * (most - least) / most;
     assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
     assert!(found.is_unsteady);
-    let steady =
-        latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a profile");
+    let steady = with_speed(&aligned(|_| 0.006, 1e-4, 0.0)).expect("a profile");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
 }

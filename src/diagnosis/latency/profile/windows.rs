@@ -216,24 +216,33 @@ fn add(sum: &mut [f64; 6], addend: &[f64; 6], factor: f64) {
     sum.iter_mut().zip(addend).for_each(|(sum, addend)| *sum += factor * addend);
 }
 
-pub(super) fn normalized(latency_samples: &[LatencySample]) -> Vec<NormalizedSample> {
-    let noise = [0, 1].map(|kind| {
-        let steps =
-            latency_samples.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
+/// Noise of each kind, from differences between samples, m and rad.
+pub(super) fn noise(samples: &[LatencySample]) -> [f64; 2] {
+    /// In m and rad.
+    const FLOOR: f64 = 1e-6;
+    [0, 1].map(|kind| {
+        let steps = samples.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
-        // Floor, m and rad.
-        (square / (6 * latency_samples.len().max(1)) as f64).sqrt().max(1e-6)
-    });
+        (square / (6 * samples.len().max(1)) as f64).sqrt().max(FLOOR)
+    })
+}
+
+/// Samples in units of this noise, at their logged stamps.
+pub(super) fn normalized(
+    samples: &[LatencySample],
+    noise: [f64; 2],
+    logged_s: impl Fn(f64) -> f64,
+) -> Vec<NormalizedSample> {
     let scaled =
         |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
     let sample = |of: &LatencySample| NormalizedSample {
-        t_s: of.t_s,
+        t_s: logged_s(of.t_s),
         residual: scaled(&of.residual),
         velocity: scaled(&of.velocity),
         loads: of.loads,
         joint_noise: of.joint_noise / noise[1],
     };
-    latency_samples.iter().map(sample).collect()
+    samples.iter().map(sample).collect()
 }
 
 /// Number of windows, less those with large standard errors.
