@@ -360,6 +360,7 @@ pub fn steady() -> LatencyProfile {
         swing_s: precise(0.0),
         is_unsteady: false,
         shape: crate::diagnosis::LatencyShape::Steady,
+        skew: 0.0,
         steps: Vec::new(),
         levels: Vec::new(),
         windows: Vec::new(),

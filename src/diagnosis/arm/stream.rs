@@ -15,11 +15,11 @@ use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, rest_speeds};
 use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
-use crate::selection::nominal_model::link_deviations_beat_profile;
+use crate::selection::nominal_model::is_unsteady_beside_links;
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
-    HeldOutResidual, LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis,
-    PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
+    HeldOutResidual, LatencyProfile, LatencyShape, LengthUnitError, Measured, NotObservable,
+    PoseDiagnosis, PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -205,21 +205,24 @@ pub(super) fn stream_diagnosis(
             let profile =
                 latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed, fk_at);
             let state = without_small_causes(model, index);
-            let is_imitated_by_links = |profile: &LatencyProfile| {
-                let removed = stream.removed_ramp;
-                profile.is_unsteady
-                    && link_deviations_beat_profile(
+            profile.and_then(|profile| {
+                let is_varied = profile.shape != LatencyShape::Steady;
+                let beside_links = is_varied.then(|| {
+                    let removed = stream.removed_ramp;
+                    is_unsteady_beside_links(
                         &decoded.observations,
                         &state,
                         zeros,
-                        profile,
+                        &profile,
                         removed,
                     )
-            };
-            match profile {
-                Ok(profile) if is_imitated_by_links(&profile) => Err(NotObservable::NotExcited),
-                profile => profile,
-            }
+                });
+                match beside_links.flatten() {
+                    Some(false) if profile.is_unsteady => Err(NotObservable::NotExcited),
+                    Some(is_unsteady) => Ok(LatencyProfile { is_unsteady, ..profile }),
+                    None => Ok(profile),
+                }
+            })
         }
         Err(why) => Err(why.clone()),
     };

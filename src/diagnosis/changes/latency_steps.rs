@@ -56,7 +56,7 @@ pub(crate) fn latency_steps(found: &PoseDiagnosis, chain: &Chain) -> Option<Late
     let windows =
         found.latency_profile.as_ref().map_or_else(|_| Vec::new(), |it| it.windows.clone());
     let shape = LatencyShape::Steps;
-    Some(LatencyProfile { swing_s, is_unsteady: true, shape, levels, steps, windows })
+    Some(LatencyProfile { swing_s, is_unsteady: true, shape, skew: 0.0, levels, steps, windows })
 }
 
 fn at_s(it: &StepOrDrift) -> f64 {

@@ -19,6 +19,9 @@ const MIN_CORRELATION: f64 = 0.85;
 /// A piecewise linear profile must reduce the residual of a line to this fraction. If neither the profile nor the steps
 /// reduce the other's residual to this fraction, the fit of the model decides between them.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
+/// Of the latency. A profile shows smaller variations.
+pub(super) const MIN_VARIATION_S: f64 = 0.035;
+
 /// Large latency change within the run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoarseLatencyChange {
@@ -122,7 +125,8 @@ fn detect_changes(
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
     let followed: Vec<&LagWindow> =
         windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
-    let steps = detect_steps(arm, stream, &followed);
+    let steps =
+        detect_steps(arm, stream, &followed).filter(|steps| steps.swing_s() >= MIN_VARIATION_S);
     let Some(RampFit { ramp: gradual, residual: of_gradual, line_residual: of_line }) =
         LatencyRamp::fit_windows(arm, stream, &followed)
     else {

@@ -63,6 +63,8 @@ pub struct LatencyProfile {
     pub is_unsteady: bool,
     /// Kind of profile.
     pub shape: LatencyShape,
+    /// Skew beside a latency that grows with the speed. The levels of other kinds contain it.
+    pub skew: f64,
     /// In time order. Empty for other kinds.
     pub steps: Vec<LatencyStep>,
     /// Time and latency. Constant from each time on if there are steps, else linear in between. If
@@ -101,6 +103,7 @@ impl LatencyProfile {
             swing_s,
             is_unsteady: true,
             shape,
+            skew: 0.0,
             steps: Vec::new(),
             levels,
             windows: measured(windows),
@@ -148,7 +151,9 @@ impl LatencyProfile {
                 let bins = windows.iter().flat_map(|window| &window.bins);
                 let levels =
                     bins.zip(load).map(|(bin, load)| (bin.t_s, levels_s[0] + levels_s[1] * load));
-                profile(LatencyShape::WithLoad, slope.scaled(max - min), levels.collect())
+                let swing_s = slope.scaled(max - min);
+                let skew = levels_s[2];
+                Self { skew, ..profile(LatencyShape::WithLoad, swing_s, levels.collect()) }
             }
         }
     }
@@ -354,54 +359,57 @@ pub(crate) fn fit_profile(
     Ok(LatencyProfile { is_unsteady, ..found.profile })
 }
 
-/// A profile with the skew beside it.
+/// A profile and the time about which its skew turns.
 struct FittedProfile {
     profile: LatencyProfile,
-    skew: f64,
     middle_s: f64,
 }
 
 impl FittedProfile {
     fn new(windows: &[Window]) -> EstimateResult<Self> {
         let fit = likeliest_shape(windows).ok_or(NotObservable::NotExcited)?;
-        let (skew, middle_s) = match fit.basis {
-            Basis::Load(_, middle_s) => (fit.levels_s[2], middle_s),
-            _ => (0.0, 0.0),
+        let middle_s = match fit.basis {
+            Basis::Load(_, middle_s) => middle_s,
+            _ => 0.0,
         };
-        Ok(Self { profile: LatencyProfile::from_fit(&fit, windows), skew, middle_s })
+        Ok(Self { profile: LatencyProfile::from_fit(&fit, windows), middle_s })
     }
 
     fn latency_s(&self, t_s: f64) -> f64 {
-        self.profile.relative_s(t_s) + self.skew * (t_s - self.middle_s)
+        self.profile.relative_s(t_s) + self.profile.skew * (t_s - self.middle_s)
     }
 }
 
 /// Latency that remains at a stamp of samples.
 type RemainingLatency<'a> = (&'a [NormalizedSample], &'a dyn Fn(f64) -> f64);
 
-/// Whether the samples `with` a profile leave less than half of the excess residual `without` it, and no larger position or
-/// rotation residual. A model error may imitate latency in one of them, not in both.
+/// Whether samples `with` a profile leave far less than those `without` it.
 fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool {
-    /// Share of the excess residual.
-    const MAX_RESIDUAL_RATIO: f64 = 0.5;
-    /// Minimum excess relative to the noise.
-    const MIN_EXCESS_SHARE: f64 = 0.1;
     // Residuals are scaled to unit noise.
-    let noise = 3.0 * without.0.len() as f64;
-    let square = |kind: usize, (samples, remaining_s): RemainingLatency| {
-        let squares = samples.iter().map(|sample| {
-            let delta_s = remaining_s(sample.t_s);
-            let components = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
-            components
-                .map(|(residual, velocity)| (residual + delta_s * velocity).powi(2))
-                .sum::<f64>()
-        });
-        (squares.sum::<f64>() - noise).max(0.0)
+    let excess = |(samples, remaining_s): RemainingLatency| {
+        [0, 1].map(|kind| {
+            let squares = samples.iter().map(|sample| {
+                let delta_s = remaining_s(sample.t_s);
+                let both = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
+                both.map(|(residual, velocity)| (residual + delta_s * velocity).powi(2))
+                    .sum::<f64>()
+            });
+            let squares: f64 = squares.sum();
+            (squares / (3.0 * samples.len() as f64) - 1.0).max(0.0)
+        })
     };
-    let [before, after] = [without, with].map(|latency| [0, 1].map(|kind| square(kind, latency)));
-    let is_no_worse = (0..2).all(|kind| after[kind] <= before[kind] + 0.1 * noise);
-    let has_excess = before[0] + before[1] > MIN_EXCESS_SHARE * noise;
-    is_no_worse && has_excess && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
+    explains_excess(excess(without), excess(with))
+}
+
+/// Whether the excess residual falls to less than half, and neither that of positions nor that of rotations increases. A model
+/// error may imitate latency in one of them, not in both. The excess is a square, relative to that of the noise.
+pub(crate) fn explains_excess(before: [f64; 2], after: [f64; 2]) -> bool {
+    const MAX_RATIO: f64 = 0.5;
+    /// Relative to the noise.
+    const TOLERANCE: f64 = 0.1;
+    let sum = |excess: [f64; 2]| excess[0] + excess[1];
+    let is_no_worse = (0..2).all(|kind| after[kind] <= before[kind] + TOLERANCE);
+    is_no_worse && sum(before) > TOLERANCE && sum(after) < MAX_RATIO * sum(before)
 }
 
 fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
@@ -437,6 +445,7 @@ fn steady_profile(windows: &[Window]) -> LatencyProfile {
         swing_s: Measured { value: scatter, std_error, dof: count },
         is_unsteady: false,
         shape: LatencyShape::Steady,
+        skew: 0.0,
         steps: Vec::new(),
         levels: Vec::new(),
         windows: measured,

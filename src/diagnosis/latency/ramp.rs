@@ -1,5 +1,6 @@
 //! Large piecewise linear latency of a stream.
 
+use super::coarse::MIN_VARIATION_S;
 use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
 use super::speed_residual::{SpeedPairs, fit_rows, squared_residual};
@@ -28,8 +29,6 @@ impl LatencyRamp {
         stream: &SpeedSeries,
         windows: &[&LagWindow],
     ) -> Option<RampFit> {
-        /// Smaller variations do not affect estimates over a second of motion.
-        const MIN_VARIATION_S: f64 = 0.035;
         /// Smaller deviations are skew.
         const MIN_LINE_DEVIATION_S: f64 = 0.005;
         const MIN_KNOTS: usize = 6;

@@ -186,6 +186,12 @@ impl LatencySteps {
         finer
     }
 
+    /// Between the lowest and the highest level.
+    pub(crate) fn swing_s(&self) -> f64 {
+        let lags = || self.levels.iter().map(|level| level.lag_s);
+        lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min)
+    }
+
     /// Lag that remains when the steps are removed: the smallest in magnitude, s.
     fn retained_lag_s(&self) -> f64 {
         let lags = self.levels.iter().map(|level| level.lag_s);
@@ -266,6 +272,7 @@ impl LatencySteps {
             swing_s: largest.map_or(none, |jump| jump.size_s),
             is_unsteady: true,
             shape: LatencyShape::Steps,
+            skew: 0.0,
             levels: self
                 .levels
                 .iter()

@@ -10,12 +10,14 @@
 //! large changes. The selected causes are kept unless it has the higher evidence, which it cannot if a few
 //! causes reduce the residual to noise.
 
+use crate::latency::profile::explains_excess;
 use crate::model::jacobian::Derivative;
 use crate::model::measurement::{
     FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
 };
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::noise::Noise;
 use crate::{LatencyProfile, LatencyRamp, Measured};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -64,17 +66,18 @@ pub(crate) fn is_nominal(
     calibration.gain_over(&without_change) + saved > calibration.price()
 }
 
-/// Whether link deviations with a constant latency are as likely as with the unsteady latency `profile`. Slow motion
-/// hides large latency changes, and link deviations resemble one there.
+/// Whether the unsteady latency `profile` is likelier than a constant one and explains most of the residual, both beside link
+/// deviations. Slow motion hides large latency changes, and link deviations resemble one there. `None` if the residual is
+/// too large for link deviations.
 ///
 /// `state` excludes causes that calibrations explain. It refers to stamps without `removed`.
-pub(crate) fn link_deviations_beat_profile(
+pub(crate) fn is_unsteady_beside_links(
     observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
     profile: &LatencyProfile,
     removed: Option<&LatencyRamp>,
-) -> bool {
+) -> Option<bool> {
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = observations.with_stamps(logged_s);
     let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
@@ -83,17 +86,25 @@ pub(crate) fn link_deviations_beat_profile(
     if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
         || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
     {
-        return false;
+        return None;
     }
-    // The levels contain the skew; the constant latency absorbs its pivot.
-    let mut steady_state = StreamState { skew: 0.0, ..state.clone() };
+    // The constant latency absorbs the pivot of the skew.
+    let mut steady_state = StreamState { skew: profile.skew, ..state.clone() };
     for _ in 0..2 {
         steady_state.latency_s += steady.residual_at_latency(&steady_state, offsets, MAX_SAMPLES).1;
     }
     let constant = LinkFrameChanges::fit(&logged, state, offsets, stride);
     let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets, stride);
     let price = price(unsteady.samples as f64) * profile.parameters() as f64;
-    unsteady.gain_over(&constant.weights) <= price
+    let excess = |fit: &LinkFrameChanges| {
+        [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
+            let Noise { sigma, share, .. } = unsteady.weights[kind].noise;
+            let white = (sigma.powi(2) * (1.0 - share)).max(floor * floor);
+            (fit.weights[kind].noise.sigma.powi(2) / white - 1.0).max(0.0)
+        })
+    };
+    let is_likelier = unsteady.gain_over(&constant.weights) > price;
+    Some(is_likelier && explains_excess(excess(&constant), excess(&unsteady)))
 }
 
 /// Noise of positions and rotations beside the likeliest link deviations, m and rad, and the sum of the squares of these,

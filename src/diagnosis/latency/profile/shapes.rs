@@ -199,12 +199,18 @@ fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
     }
 }
 
-/// The likeliest piecewise linear latency between evenly chosen windows whose score may exceed `min_score`.
+/// The likeliest piecewise linear latency between the ends of the run and evenly chosen windows whose score may exceed `min_score`.
 fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MIN_KNOTS: usize = 4;
+    /// From the end of the run: a level needs motion on both sides.
+    const MIN_KNOT_DISTANCE_S: f64 = 0.5;
+    let bins = || windows.iter().flat_map(|window| &window.bins);
+    let (first_s, last_s) = (bins().next()?.t_s, bins().next_back()?.t_s);
     let strides = std::iter::successors(Some(1), |stride| Some(2 * stride));
     let knots = strides.map(|stride| -> Vec<f64> {
-        windows.iter().step_by(stride).map(|window| window.t_s).collect()
+        let inner = windows.iter().step_by(stride).skip(1).map(|window| window.t_s);
+        let inner = inner.filter(|t_s| last_s - t_s > MIN_KNOT_DISTANCE_S);
+        std::iter::once(first_s).chain(inner).chain([last_s]).collect()
     });
     let knots = knots.take_while(|knots| knots.len() >= MIN_KNOTS);
     let count = effective_count(windows);
