@@ -10,7 +10,6 @@ mod constant_frames;
 mod encoding_changes;
 mod jumps;
 mod large_steps;
-mod latency_steps;
 mod patches;
 mod split_run;
 mod step_test;
@@ -27,7 +26,6 @@ pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use encoding_changes::{
     diagnose_with_encoding_changes, diagnose_with_recorded_encoding_changes,
 };
-pub(super) use latency_steps::latency_steps;
 use step_test::has_unusual_zero;
 
 impl ArmDiagnosis {

@@ -125,11 +125,11 @@ impl Link<'_> {
             bias: model.bias(&solved, scale_error),
             latency_profile: match moves {
                 true => fit_profile(
-                    &model.latency_samples(),
+                    &model.latency_samples(&|_| 0.0),
                     1,
                     model.delay.skew,
                     self.stream.removed_ramp,
-                    |_| None,
+                    |late_s| Some(model.latency_samples(late_s)),
                 ),
                 false => Err(NotObservable::AtRest),
             },
@@ -239,7 +239,7 @@ impl GyroModel<'_> {
     }
 
     /// Residual rates in the link frame and angular acceleration by FK.
-    fn latency_samples(&self) -> Vec<LatencySample> {
+    fn latency_samples(&self, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
         /// Long enough to average joint velocity noise, short relative to the motion.
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
@@ -251,7 +251,7 @@ impl GyroModel<'_> {
         };
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
-            let truth_s = self.delay.truth_s(track.t_s[k]);
+            let truth_s = self.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
             let [before, rate, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
                 .map(|around_s| rate_at(truth_s + around_s));
             let ((before, _), (rate, rate_noise), (after, _)) = (before?, rate?, after?);

@@ -85,11 +85,11 @@ impl Link<'_> {
             yaw_profile: model.yaw_profile(&solved),
             latency_profile: match moves {
                 true => fit_profile(
-                    &model.latency_samples(&solved),
+                    &model.latency_samples(&solved, &|_| 0.0),
                     1,
                     model.delay.skew,
                     self.stream.removed_ramp,
-                    |_| None,
+                    |late_s| Some(model.latency_samples(&solved, late_s)),
                 ),
                 false => Err(NotObservable::AtRest),
             },
@@ -369,15 +369,23 @@ impl OrientationModel<'_> {
     }
 
     /// Residual rotations and angular velocity by FK.
-    fn latency_samples(&self, solved: &Solved) -> Vec<LatencySample> {
-        let to_sample = |((t_s, _, state), residual): ((f64, _, LinkState), &Vec3)| LatencySample {
-            t_s,
-            residual: [Vec3::zeros(), *residual],
-            velocity: [Vec3::zeros(), self.world_from_base * state.rate],
-            loads: [0.0; 2],
-            joint_noise: (state.rotation_noise.trace() / 3.0).sqrt(),
-        };
-        self.states().zip(&solved.residuals).map(to_sample).collect()
+    /// With this latency compensated in addition to that of the model.
+    fn latency_samples(&self, solved: &Solved, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
+        let mut buffers = self.link.buffers();
+        let samples =
+            self.states().zip(&solved.residuals).filter_map(|((t_s, _, state), residual)| {
+                let then = self.link.at(self.delay.truth_s(t_s - late_s(t_s)), &mut buffers)?;
+                let turned = then.rotation * state.rotation.inverse();
+                let in_world = |by_link: Vec3| self.world_from_base * by_link;
+                Some(LatencySample {
+                    t_s,
+                    residual: [Vec3::zeros(), residual - in_world(rotvec_from_rotation(&turned))],
+                    velocity: [Vec3::zeros(), in_world(then.rate)],
+                    loads: [0.0; 2],
+                    joint_noise: (state.rotation_noise.trace() / 3.0).sqrt(),
+                })
+            });
+        samples.collect()
     }
 
     /// Stamp and total yaw error relative to FK, and the headings that it separates: of the IMU axis furthest

@@ -16,8 +16,7 @@ use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
 const MIN_CORRELATION: f64 = 0.85;
-/// A piecewise linear profile must reduce the residual of a line to this fraction. If neither the profile nor the steps
-/// reduce the other's residual to this fraction, the fit of the model decides between them.
+/// Residual of a piecewise linear profile over that of a line.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
 /// Of the latency. A profile shows smaller variations.
 pub(super) const MIN_VARIATION_S: f64 = 0.035;
@@ -27,8 +26,8 @@ pub(super) const MIN_VARIATION_S: f64 = 0.035;
 pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
-    /// Piecewise linear latency. The steps apply if the fit of the model rejects it.
-    Ramp(LatencyRamp, Option<LatencySteps>),
+    /// Piecewise linear latency.
+    Ramp(LatencyRamp),
 }
 
 impl CoarseLatencyChange {
@@ -36,15 +35,7 @@ impl CoarseLatencyChange {
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
             Self::Steps(steps) => steps.compensated(t_s),
-            Self::Ramp(gradual, _) => gradual.compensated(t_s),
-        }
-    }
-
-    /// The steps instead of a ramp, if they fit the speeds as well.
-    pub(crate) fn or_steps(&self) -> Self {
-        match self {
-            Self::Ramp(_, Some(steps)) => Self::Steps(steps.clone()),
-            other => other.clone(),
+            Self::Ramp(gradual) => gradual.compensated(t_s),
         }
     }
 
@@ -60,7 +51,7 @@ impl CoarseLatencyChange {
     pub fn ramp(&self) -> Option<&LatencyRamp> {
         match self {
             Self::Steps(_) => None,
-            Self::Ramp(gradual, _) => Some(gradual),
+            Self::Ramp(gradual) => Some(gradual),
         }
     }
 }
@@ -137,14 +128,13 @@ fn detect_changes(
         .as_ref()
         .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
     // Linear growth is skew, not steps.
-    let fallback = steps.filter(|_| of_steps < of_line);
+    let steps = steps.filter(|_| of_steps < of_line);
     let is_ramp =
         of_gradual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line);
-    if !is_ramp || of_steps < MAX_RESIDUAL_RATIO * of_gradual {
-        return fallback.map(CoarseLatencyChange::Steps);
+    match is_ramp && of_gradual <= of_steps {
+        true => Some(CoarseLatencyChange::Ramp(gradual)),
+        false => steps.map(CoarseLatencyChange::Steps),
     }
-    let fallback = fallback.filter(|_| of_gradual > MAX_RESIDUAL_RATIO * of_steps);
-    Some(CoarseLatencyChange::Ramp(gradual, fallback))
 }
 
 #[cfg(test)]

@@ -2,21 +2,17 @@
 
 use crate::arm::diagnose_arm;
 use crate::arm_run::ArmRun;
-use crate::changes::latency_steps;
 use crate::imu::diagnose_converted_imu;
-use crate::priors::price_of_cause;
-use crate::residuals::cause_columns::CauseColumns;
-use crate::residuals::comparison::{residual_m, residual_of_shares_m};
+use crate::latency::steps::LatencySteps;
+use crate::residuals::comparison::residual_of_shares_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
-    detect_imu_latency_changes, detect_pose_latency_changes,
+    LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream, detect_imu_latency_changes,
+    detect_pose_latency_changes,
 };
 use ground::geometry::Pose;
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
-
-const MAX_REFINEMENTS: usize = 2;
 
 /// Run with constant latencies.
 pub(crate) struct CompensatedRun {
@@ -31,201 +27,138 @@ pub(crate) struct CompensatedRun {
 impl CompensatedRun {
     /// Compensates a variable latency, so its effects are not attributed to another cause.
     pub fn new(run: &ArmRun) -> Self {
-        let ArmRun { joints, streams, is_prismatic, max_lag_s } = *run;
-        let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
+        let coarse = CoarselyCompensated::likeliest(run);
+        // A profile is accurate once its effects on other causes are removed.
+        let CoarselyCompensated { changes, diagnosis } = match coarse.with_profiles() {
+            changes if changes == coarse.changes => coarse,
+            changes => CoarselyCompensated::new(run, changes),
+        };
+        let steps = changes.iter().map(|it| it.as_ref().and_then(CoarseLatencyChange::steps));
+        let steps: Vec<Option<&LatencySteps>> = steps.collect();
+        // Ramps stay in the estimated profile; only steps are removed.
+        let without_steps = |(stream, steps): (&PoseStream, &Option<&LatencySteps>)| {
+            Some(with_stamps(stream, &(*steps)?.compensated(&stream.track.t_s)))
+        };
+        let step_free: Vec<Option<PoseTrack>> =
+            run.streams.iter().zip(&steps).map(without_steps).collect();
+        let streams = with_tracks(run.streams, &step_free);
+        let found = streams.iter().zip(&diagnosis.streams);
+        let tracks: Vec<Option<PoseTrack>> = found
+            .map(|(stream, found)| compensate_latency(stream, &found.latency_profile))
+            .collect();
+        let profile = |(s, found): (usize, &PoseDiagnosis)| match (&found.latency_profile, steps[s])
+        {
+            // Already relative to the lowest level.
+            (found, Some(steps)) => Ok(steps.profile(found)),
+            (Ok(unsteady), None) if unsteady.is_unsteady => {
+                Ok(unsteady.clone().relative_to_typical(&streams[s].track.t_s))
+            }
+            (found, None) => found.clone(),
+        };
+        let profiles = diagnosis.streams.iter().enumerate().map(profile).collect();
+        let diagnosis = match tracks.iter().all(Option::is_none) {
+            true => diagnosis,
+            false => diagnose_arm(run.joints, &with_tracks(&streams, &tracks), run.max_lag_s),
+        };
+        let tracks =
+            tracks.into_iter().zip(step_free).map(|(track, step_free)| track.or(step_free));
+        Self { tracks: tracks.collect(), profiles, diagnosis }
+    }
+}
+
+/// Large changes of the streams' latencies, and the run's diagnosis without them.
+struct CoarselyCompensated {
+    changes: Vec<Option<CoarseLatencyChange>>,
+    diagnosis: ArmDiagnosis,
+}
+
+impl CoarselyCompensated {
+    fn new(run: &ArmRun, changes: Vec<Option<CoarseLatencyChange>>) -> Self {
+        let diagnosis =
+            diagnose_without_coarse_changes(run.joints, run.streams, &changes, run.max_lag_s);
+        Self { changes, diagnosis }
+    }
+
+    fn likeliest(run: &ArmRun) -> Self {
+        let detect = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
+            let streams = run.streams.par_iter();
             streams
-                .par_iter()
-                .map(|stream| detect_pose_latency_changes(joints, stream, max_lag_s))
+                .map(|stream| detect_pose_latency_changes(joints, stream, run.max_lag_s))
                 .collect()
         };
-        let mut changes = detect_changes(joints);
-        let mut first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
-        let size_m = |diagnosis: &ArmDiagnosis, changes: &[Option<CoarseLatencyChange>]| {
-            residual_of_shares_m(diagnosis, &compared_shares(joints, streams, changes))
-        };
-        if changes.iter().any(Option::is_some) {
+        let none = vec![None; run.streams.len()];
+        let mut likeliest = Self::new(run, detect(run.joints));
+        if likeliest.changes != none {
             // Misread joints change the speeds as well.
-            let none = vec![None; streams.len()];
-            let as_logged = diagnose_without_coarse_changes(joints, streams, &none, max_lag_s);
-            if size_m(&as_logged, &none) <= size_m(&first, &changes) {
-                (changes, first) = (none, as_logged);
-            }
+            likeliest = Self::new(run, none.clone()).or(likeliest, run);
         }
-        let as_detected = changes.clone();
-        let diagnose_without =
-            |changes: &[Option<CoarseLatencyChange>]| match changes == as_detected {
-                true => first.clone(),
-                false => diagnose_without_coarse_changes(joints, streams, changes, max_lag_s),
-            };
-        let mut diagnosis = first.clone();
-        let are_joints_misinterpreted =
-            !diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
-        if are_joints_misinterpreted && changes.iter().all(Option::is_none) {
-            // Misread joints and latency changes hide each other.
-            let corrected = match &diagnosis.joints.encoding {
-                Ok(_) => diagnosis.joints.corrected_joints(joints, is_prismatic),
-                Err(_) => {
-                    let mut radians = joints.clone();
-                    radians.convert_from_degrees(is_prismatic);
-                    radians
-                }
-            };
-            let by_corrected = detect_changes(&corrected);
-            if by_corrected.iter().any(Option::is_some) {
-                let changed = diagnose_without(&by_corrected);
-                if residual_m(&changed) < residual_m(&diagnosis) {
-                    (changes, diagnosis) = (by_corrected, changed);
-                }
-            }
-        }
-        for _ in 0..MAX_REFINEMENTS {
-            let both = changes.iter_mut().zip(&diagnosis.streams);
-            if both
-                .filter_map(|(change, diagnosis)| refine_ramp(change, &diagnosis.latency_profile))
-                .count()
-                == 0
-            {
-                break;
-            }
-            diagnosis = diagnose_without(&changes);
-        }
-        let steps_instead = changes.iter().map(|it| it.as_ref().map(CoarseLatencyChange::or_steps));
-        let steps_instead: Vec<Option<CoarseLatencyChange>> = steps_instead.collect();
-        if steps_instead != changes {
-            let stepped = diagnose_without(&steps_instead);
-            if size_m(&stepped, &steps_instead) < size_m(&diagnosis, &changes) {
-                (changes, diagnosis) = (steps_instead, stepped);
-            }
-        }
-        if changes.iter().all(Option::is_none)
-            && let Some(profiles) = steps_beside_links(run, &diagnosis)
+        if likeliest.changes == none
+            && let Some(joints) = likeliest.corrected_joints(run)
         {
-            for (found, profile) in diagnosis.streams.iter_mut().zip(profiles) {
-                found.latency_profile = profile.map_or(found.latency_profile.clone(), Ok);
+            // Misread joints and latency changes hide each other.
+            let changes = detect(&joints);
+            if changes != none {
+                likeliest = likeliest.or(Self::new(run, changes), run);
             }
         }
-        let steps: Vec<_> = changes
-            .iter()
-            .map(|change| change.as_ref().and_then(CoarseLatencyChange::steps))
-            .collect();
-        // Ramps stay in the estimated profile; only steps are removed.
-        let step_free_tracks: Vec<Option<PoseTrack>> = streams
-            .iter()
-            .zip(&steps)
-            .map(|(stream, steps)| {
-                Some(with_stamps(stream, &(*steps)?.compensated(&stream.track.t_s)))
-            })
-            .collect();
-        let streams = with_tracks(streams, &step_free_tracks);
-        let mut tracks = Vec::new();
-        let mut profiles = Vec::new();
-        for ((stream, diagnosis), change) in streams.iter().zip(&diagnosis.streams).zip(&changes) {
-            tracks.push(compensate_latency(stream, &diagnosis.latency_profile));
-            profiles.push(match change.as_ref().and_then(CoarseLatencyChange::steps) {
-                Some(steps) => Ok(steps.profile(&diagnosis.latency_profile)),
-                None => diagnosis.latency_profile.clone(),
-            });
-        }
-        let mut compensated = if tracks.iter().all(Option::is_none) {
-            diagnosis
-        } else {
-            diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s)
+        // If the stream without its ramp has a constant latency, the speeds differ for another reason.
+        let is_confirmed = |(change, found): (&Option<CoarseLatencyChange>, &PoseDiagnosis)| {
+            change.as_ref().and_then(CoarseLatencyChange::ramp).is_none()
+                || found.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
         };
-        // Profiles on stamps with large errors are approximate; refine once.
-        let mut is_refined = false;
-        for s in 0..streams.len() {
-            if steps[s].is_some() || tracks[s].is_none() {
-                continue;
+        let both = likeliest.changes.iter().zip(&likeliest.diagnosis.streams);
+        let confirmed: Vec<Option<CoarseLatencyChange>> =
+            both.map(|both| both.0.clone().filter(|_| is_confirmed(both))).collect();
+        match confirmed == likeliest.changes {
+            true => likeliest,
+            false => Self::new(run, confirmed),
+        }
+    }
+
+    /// The changes, with the estimated latency of each stream without steps.
+    fn with_profiles(&self) -> Vec<Option<CoarseLatencyChange>> {
+        let both = self.changes.iter().zip(&self.diagnosis.streams);
+        both.map(|(change, found)| with_profile(change, &found.latency_profile)).collect()
+    }
+
+    /// The other one if its residual is smaller.
+    fn or(self, other: Self, run: &ArmRun) -> Self {
+        let residual_m = |it: &Self| {
+            let shares = compared_shares(run.joints, run.streams, &it.changes);
+            residual_of_shares_m(&it.diagnosis, &shares)
+        };
+        if residual_m(&other) < residual_m(&self) { other } else { self }
+    }
+
+    /// `None` if the joint states are as logged.
+    fn corrected_joints(&self, run: &ArmRun) -> Option<JointTrack> {
+        let found = &self.diagnosis.joints;
+        match &found.encoding {
+            Ok(encoding) if encoding.is_as_logged() => None,
+            Ok(_) => Some(found.corrected_joints(run.joints, run.is_prismatic)),
+            Err(_) => {
+                let mut radians = run.joints.clone();
+                radians.convert_from_degrees(run.is_prismatic);
+                Some(radians)
             }
-            let (Ok(profile), Ok(rest)) = (&profiles[s], &compensated.streams[s].latency_profile)
-            else {
-                continue;
-            };
-            let refined = profile.clone().combined_with(rest);
-            if refined != *profile {
-                let rows = refined.compensated(&streams[s].track.t_s);
-                tracks[s] = Some(with_stamps(&streams[s], &rows));
-                (profiles[s], is_refined) = (Ok(refined), true);
-            }
         }
-        if is_refined {
-            compensated = diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s);
-        }
-        // Profiles of large steps are already relative to the lowest level.
-        for ((profile, stream), steps) in profiles.iter_mut().zip(&streams).zip(&steps) {
-            if let (Ok(unsteady), None) = (profile.as_mut(), steps)
-                && unsteady.is_unsteady
-            {
-                *unsteady = unsteady.clone().relative_to_typical(&stream.track.t_s);
-            }
-        }
-        for (track, step_free) in tracks.iter_mut().zip(&step_free_tracks) {
-            *track = track.take().or_else(|| step_free.clone());
-        }
-        Self { tracks, profiles, diagnosis: compensated }
     }
 }
 
-/// Profiles of streams whose latency steps, if no other profile is unsteady. All streams must still follow FK, and steps
-/// beside link deviations must be likelier than none.
-fn steps_beside_links(
-    run: &ArmRun,
-    constant: &ArmDiagnosis,
-) -> Option<Vec<Option<LatencyProfile>>> {
-    let is_unsteady =
-        |found: &PoseDiagnosis| found.latency_profile.as_ref().is_ok_and(|it| it.is_unsteady);
-    if constant.streams.iter().any(is_unsteady) {
-        return None;
-    }
-    let found = constant.streams.iter().zip(run.streams);
-    let profiles: Vec<Option<LatencyProfile>> =
-        found.map(|(found, stream)| latency_steps(found, stream.chain)).collect();
-    let tracks: Vec<Option<PoseTrack>> = profiles
-        .iter()
-        .zip(run.streams)
-        .map(|(profile, stream)| {
-            let rows = profile.as_ref()?.compensated(&stream.track.t_s);
-            Some(with_stamps(stream, &rows))
-        })
-        .collect();
-    if tracks.iter().all(Option::is_none) {
-        return None;
-    }
-    let stepped = diagnose_arm(run.joints, &with_tracks(run.streams, &tracks), run.max_lag_s);
-    let follows = |found: &PoseDiagnosis| found.residual.is_ok() && !found.is_far_from_fk();
-    let mut both = constant.streams.iter().zip(&stepped.streams);
-    if both.any(|(before, after)| follows(before) && !follows(after)) {
-        return None;
-    }
-    let worth = |s: usize| -> f64 {
-        let [before, after] = [constant, &stepped].map(|diagnosis| {
-            CauseColumns::new(&diagnosis.streams[s], run.streams[s].chain).unexplained_noise()
-        });
-        let gains = before.iter().zip(&after).map(|((before, _), (after, independent))| {
-            2.0 * independent * (before.sigma / after.sigma).ln()
-        });
-        let steps = profiles[s].as_ref().map_or(0, |profile| profile.steps.len());
-        let independent = after.iter().map(|(_, independent)| independent).sum();
-        match steps {
-            0 => gains.sum::<f64>(),
-            steps => gains.sum::<f64>() - price_of_cause(2 * steps, independent),
-        }
-    };
-    ((0..run.streams.len()).map(worth).sum::<f64>() > 0.0).then_some(profiles)
-}
-
-/// Refines a ramp with the profile of the compensated stream. If that is constant, the speeds differ for
-/// another reason. `None` if nothing changes.
-fn refine_ramp(
-    change: &mut Option<CoarseLatencyChange>,
+/// The estimated latency, unless the change has steps.
+fn with_profile(
+    change: &Option<CoarseLatencyChange>,
     profile: &EstimateResult<LatencyProfile>,
-) -> Option<()> {
-    let Some(CoarseLatencyChange::Ramp(ramp, steps)) = change else { return None };
-    match profile.as_ref().ok().filter(|profile| profile.is_unsteady) {
-        Some(profile) => *ramp = LatencyRamp::from_profile(profile)?,
-        None => *change = steps.take().map(CoarseLatencyChange::Steps),
+) -> Option<CoarseLatencyChange> {
+    match change {
+        Some(CoarseLatencyChange::Steps(_)) => change.clone(),
+        _ => profile
+            .as_ref()
+            .ok()
+            .and_then(LatencyRamp::from_profile)
+            .map(CoarseLatencyChange::Ramp)
+            .or(change.clone()),
     }
-    Some(())
 }
 
 fn diagnose_without_coarse_changes(
@@ -310,27 +243,26 @@ pub fn diagnose_imu_with_latency_compensation(
     };
     let mut change = detect_imu_latency_changes(joints, &stream, max_lag_s);
     let mut diagnosis = diagnose_with(&change);
-    let small_ramp = diagnosis.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
-    let small_ramp = small_ramp
-        .and_then(LatencyRamp::from_profile)
-        .map(|it| CoarseLatencyChange::Ramp(it, None));
-    change = change.or(small_ramp);
-    for _ in 0..MAX_REFINEMENTS {
-        if refine_ramp(&mut change, &diagnosis.latency_profile).is_none() {
-            break;
-        }
-        diagnosis = diagnose_with(&change);
+    let unsteady = |it: &ImuDiagnosis| {
+        it.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady).cloned()
+    };
+    // As for poses.
+    let is_confirmed =
+        |it: &CoarseLatencyChange| it.ramp().is_none() || unsteady(&diagnosis).is_some();
+    let better = with_profile(&change.clone().filter(is_confirmed), &diagnosis.latency_profile);
+    if better != change {
+        diagnosis = diagnose_with(&better);
+        change = better;
     }
-    // See above: only steps are removed.
     let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
+    let profile = unsteady(&diagnosis);
+    // As for poses, only steps are removed.
     let step_profile = steps.map(|steps| steps.profile(&diagnosis.latency_profile));
-    let unsteady = diagnosis.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
-    let Some(profile) = unsteady else {
+    let Some(profile) = profile else {
         let latency_profile = step_profile.map_or(diagnosis.latency_profile.clone(), Ok);
         return ImuDiagnosis { latency_profile, ..diagnosis };
     };
-    let step_free = steps.map(|steps| steps.compensated(t_s));
-    let rows = match &step_free {
+    let rows = match steps.map(|steps| steps.compensated(t_s)) {
         None => profile.compensated(t_s),
         // The profile refers to unstepped stamps.
         Some(rows) => {
@@ -340,12 +272,8 @@ pub fn diagnose_imu_with_latency_compensation(
         }
     };
     let steady = diagnosed(&of_rows(&rows), None);
-    let final_profile = step_profile.unwrap_or_else(|| {
-        let finer =
-            steady.latency_profile.as_ref().ok().map(|rest| profile.clone().combined_with(rest));
-        finer.unwrap_or_else(|| profile.clone()).relative_to_typical(t_s)
-    });
-    ImuDiagnosis { latency_profile: Ok(final_profile), ..steady }
+    let profile = step_profile.unwrap_or_else(|| profile.relative_to_typical(t_s));
+    ImuDiagnosis { latency_profile: Ok(profile), ..steady }
 }
 
 /// Poses with stamps corrected to a constant latency. `None` if it is constant.

@@ -180,46 +180,6 @@ impl LatencyProfile {
         self
     }
 
-    /// Adds the latency that remains after compensating this profile.
-    pub(crate) fn combined_with(mut self, rest: &Self) -> Self {
-        let times_s = || self.levels.iter().map(|(t_s, _)| *t_s).collect();
-        let basis = match self.shape {
-            LatencyShape::Steps => Basis::Steps(self.steps.iter().map(|step| step.at_s).collect()),
-            LatencyShape::Ramp { from_s, to_s } => Basis::Knots(vec![from_s, to_s]),
-            LatencyShape::Wander => Basis::Knots(times_s()),
-            LatencyShape::Steady | LatencyShape::WithLoad => return self.combined_with_load(rest),
-        };
-        let window = |&(t_s, latency_s): &(f64, Measured)| Window::from_measured(t_s, latency_s);
-        let windows: Vec<Window> = rest.windows.iter().map(window).collect();
-        let Some(fit) = Fit::new(&windows, basis) else { return self };
-        let added = Self::from_fit(&fit, &windows);
-        let sum = |a: Measured, b: Measured| Measured { value: a.value + b.value, ..b };
-        self.levels.iter_mut().for_each(|(t_s, level_s)| *level_s += added.relative_s(*t_s));
-        for (step, added) in self.steps.iter_mut().zip(&added.steps) {
-            step.size_s = sum(step.size_s, added.size_s);
-        }
-        self.swing_s = match self.shape {
-            LatencyShape::Steps => largest(&self.steps).unwrap_or(self.swing_s),
-            LatencyShape::Ramp { .. } => sum(self.swing_s, added.swing_s),
-            _ => Measured { value: self.range_s(), ..self.swing_s },
-        };
-        self
-    }
-
-    fn combined_with_load(mut self, rest: &Self) -> Self {
-        if self.shape == LatencyShape::WithLoad && rest.shape == self.shape && rest.is_unsteady {
-            self.levels.iter_mut().for_each(|(t_s, level_s)| *level_s += rest.relative_s(*t_s));
-            let value = self.swing_s.value.signum() * self.range_s();
-            self.swing_s = Measured { value, ..rest.swing_s };
-        }
-        self
-    }
-
-    fn range_s(&self) -> f64 {
-        let levels = || self.levels.iter().map(|level| level.1);
-        levels().fold(f64::MIN, f64::max) - levels().fold(f64::MAX, f64::min)
-    }
-
     /// Number of parameters without the constant.
     pub(crate) fn parameters(&self) -> usize {
         match self.shape {

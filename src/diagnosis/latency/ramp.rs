@@ -1,4 +1,4 @@
-//! Large piecewise linear latency of a stream.
+//! Piecewise linear latency of a stream, which may also step.
 
 use super::coarse::MIN_VARIATION_S;
 use super::correlation::SpeedSeries;
@@ -10,7 +10,7 @@ use crate::samples::sampling::monotonic_rows;
 /// Piecewise linear latency of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencyRamp {
-    /// Stamp, s from the run's origin, and latency, s. At least two.
+    /// Stamp, s from the run's origin, and latency, s. At least two; two at the time of a step.
     knots: Vec<(f64, f64)>,
 }
 
@@ -64,10 +64,24 @@ impl LatencyRamp {
         })
     }
 
-    /// `None` if the profile is not piecewise linear.
+    /// `None` if it is steady.
     pub(crate) fn from_profile(profile: &LatencyProfile) -> Option<Self> {
-        let knots = &profile.levels;
-        (profile.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
+        /// Of a level before the first step and after the last one.
+        const LEVEL_S: f64 = 1.0;
+        let levels = &profile.levels;
+        let knots = match profile.steps.is_empty() {
+            true => levels.clone(),
+            false => {
+                let steps = levels.windows(2);
+                let mut knots: Vec<(f64, f64)> =
+                    steps.flat_map(|two| [(two[1].0, two[0].1), two[1]]).collect();
+                let (first, last) = (*knots.first()?, *knots.last()?);
+                knots.insert(0, (first.0 - LEVEL_S, first.1));
+                knots.push((last.0 + LEVEL_S, last.1));
+                knots
+            }
+        };
+        (profile.is_unsteady && knots.len() > 1).then_some(Self { knots })
     }
 
     /// Latency at a stamp, s.

@@ -7,12 +7,11 @@
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::{
-    LINK_PRIOR_M, LINK_PRIOR_RAD, MODEL_ERROR_M, MODEL_ERROR_RAD, RADIAL_SCALE_PRIOR,
+    LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR,
 };
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
-use crate::solver::noise::Noise;
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::robot::{Chain, JointKind};
@@ -295,18 +294,6 @@ impl<'a> CauseColumns<'a> {
         let (linear, fit) = self.constant_fit();
         let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
         m.hypot(LEVER_M * rad)
-    }
-
-    /// Noise of positions and rotations that constant causes and link deviations leave, with the number of independent
-    /// components.
-    pub fn unexplained_noise(&self) -> [(Noise, f64); 2] {
-        let (linear, fit) = self.constant_fit();
-        let residuals = linear.residuals_after(fit.as_slice());
-        [(0, MODEL_ERROR_M), (1, MODEL_ERROR_RAD)].map(|(kind, floor)| {
-            let residual = &residuals[kind];
-            let noise = Noise::estimate(residual, &vec![1.0; residual.len()], floor);
-            (noise, 3.0 * residual.len() as f64 / noise.inflation())
-        })
     }
 
     pub fn constant_fit(&self) -> (Linear, DVector<f64>) {
