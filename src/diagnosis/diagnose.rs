@@ -3,7 +3,7 @@
 //! Constant causes are estimated after compensating a variable latency. Joint compliance and changes of causes compete to
 //! explain a remaining residual. The likeliest diagnosis wins, also against changes of encodings.
 //!
-//! Streams are diagnosed together, unless some are FK of the joint states and others show joint zeros.
+//! Streams are diagnosed together, unless some are FK of the joint states and others show joint zeros or compliance.
 
 use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
@@ -18,7 +18,7 @@ use crate::compliance::{
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_slow_residual, residual_m};
 use crate::selection::evidence::{fits_as_well, likeliest};
-use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
+use crate::{ArmDiagnosis, JointCompliance, JointDiagnosis, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
 /// Diagnoses an arm's joint states and pose streams. `max_lag_s` is the largest latency to search.
@@ -33,8 +33,8 @@ pub fn diagnose_run(
     diagnose_without_derived(&run, &together).unwrap_or(together)
 }
 
-/// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros.
-/// The poses of a controller are FK of the same encoders, so they would hide them.
+/// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros or
+/// compliance. The poses of a controller are FK of the same encoders, so they would hide them.
 fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     if run.streams.len() < 2 || are_floating(run.streams) {
         return None;
@@ -67,9 +67,11 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         joints: together.joints.clone(),
         streams: independent.iter().map(|&s| together.streams[s].clone()).collect(),
     };
-    let has_zeros = !apart.joints.changes.is_empty()
-        || apart.joints.offsets.iter().any(|offset| offset.is_chosen);
-    if !has_zeros || !fits_as_well(&apart, &common) {
+    let JointDiagnosis { changes, offsets, compliance, .. } = &apart.joints;
+    let is_faulty = !changes.is_empty()
+        || !compliance.is_empty()
+        || offsets.iter().any(|offset| offset.is_chosen);
+    if !is_faulty || !fits_as_well(&apart, &common) {
         return None;
     }
     let mut others = apart.streams.into_iter();
@@ -149,47 +151,83 @@ mod tests {
     use ground::stream::{Orientations, PoseTrack};
     use std::f64::consts::FRAC_PI_2;
 
-    /// A controller computes its poses from the same encoders, with its own calibration; a tracker in an unknown world
-    /// sees where the arm is.
+    /// Of poses with noise. A controller computes its poses from the encoders, with its own calibration; a tracker in an
+    /// unknown world sees where the links are.
+    fn controller_and_tracker(
+        joints: &JointTrack,
+        link_m: f64,
+        link_positions: impl Fn(usize, &mut [f64]),
+    ) -> [PoseTrack; 2] {
+        let deviating = test_motion::deviating_chain(link_m);
+        let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
+        let marker = pose([0.02, 0.01, 0.06], rotation_from_rotvec(Vec3::new(0.3, -0.2, 0.5)));
+        let mut random = Lcg::new();
+        let mut track = |pose_of: &dyn Fn(usize, &[f64]) -> Pose| {
+            let noisy = |(row, q): (usize, &[f64])| {
+                let [shift, turn] = [1e-4, 1e-4].map(|size| random.triple(size));
+                let pose = pose_of(row, q);
+                let turn = rotation_from_rotvec(turn.into());
+                (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
+            };
+            let (xyz, rotations) = joints.q.chunks(6).enumerate().map(noisy).unzip();
+            let orientation = Orientations::Rotations(rotations);
+            PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
+        };
+        let controller = track(&|_, q| deviating.forward(q));
+        let tracker = track(&|row, q| {
+            let mut q = q.to_vec();
+            link_positions(row, &mut q);
+            world * deviating.forward(&q) * marker
+        });
+        [controller, tracker]
+    }
+
+    fn diagnose_both(joints: &JointTrack, [controller, tracker]: &[PoseTrack; 2]) -> ArmDiagnosis {
+        let (_, chain) = test_motion::arm();
+        let streams = [
+            test_motion::tip_stream(controller, &chain),
+            PoseStream { reference_known: false, ..test_motion::tip_stream(tracker, &chain) },
+        ];
+        let found = diagnose_run(joints, &streams, &[false; 6], 1.0);
+        let are_derived = [0, 1].map(|s: usize| found.streams[s].is_derived);
+        assert_eq!(are_derived, [true, false]);
+        found
+    }
+
     #[test]
     fn a_tracker_shows_a_zero_that_the_controller_cannot_see() {
         const ZERO_RAD: f64 = 0.012;
-        let (joints, chain) = test_motion::arm();
-        let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
-        let marker = pose([0.02, 0.01, 0.06], rotation_from_rotvec(Vec3::new(0.3, -0.2, 0.5)));
+        let (joints, _) = test_motion::arm();
         for link_m in [0.0, 2e-4] {
-            let deviating = test_motion::deviating_chain(link_m);
-            let mut random = Lcg::new();
-            let mut track = |pose_of: &dyn Fn(&[f64]) -> Pose| {
-                let noisy = |q: &[f64]| {
-                    let [shift, turn] = [1e-4, 1e-4].map(|size| random.triple(size));
-                    let pose = pose_of(q);
-                    let turn = rotation_from_rotvec(turn.into());
-                    (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
-                };
-                let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
-                let orientation = Orientations::Rotations(rotations);
-                PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
-            };
-            let controller = track(&|q| deviating.forward(q));
-            let tracker = track(&|q| {
-                let mut q = q.to_vec();
-                q[2] += ZERO_RAD;
-                world * deviating.forward(&q) * marker
-            });
-            let streams = [
-                test_motion::tip_stream(&controller, &chain),
-                PoseStream { reference_known: false, ..test_motion::tip_stream(&tracker, &chain) },
-            ];
-            let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
+            let tracks = controller_and_tracker(&joints, link_m, |_, q| q[2] += ZERO_RAD);
+            let found = diagnose_both(&joints, &tracks);
             let chosen: Vec<usize> =
                 (0..6).filter(|joint| found.joints.offsets[*joint].is_chosen).collect();
             assert_eq!(chosen, [2], "{link_m}");
             let zero = found.joints.offsets[2].offset.as_ref().expect("an offset");
             assert!((zero.value - ZERO_RAD).abs() < zero.half_width(0.99), "{link_m}: {zero:?}");
-            let are_derived = [0, 1].map(|s: usize| found.streams[s].is_derived);
-            assert_eq!(are_derived, [true, false], "{link_m}");
         }
+    }
+
+    #[test]
+    fn a_tracker_shows_backlash_that_the_controller_cannot_see() {
+        const BACKLASH_RAD: f64 = 6e-3;
+        const JOINT: usize = 3;
+        let (joints, _) = test_motion::arm();
+        let mut link = joints.q[JOINT];
+        let mut follow = |encoder: f64| {
+            link = link.clamp(encoder - 0.5 * BACKLASH_RAD, encoder + 0.5 * BACKLASH_RAD);
+            link
+        };
+        let links: Vec<f64> = joints.q.chunks(6).map(|q| follow(q[JOINT])).collect();
+        let tracks = controller_and_tracker(&joints, 2e-4, |row, q| q[JOINT] = links[row]);
+        let found = diagnose_both(&joints, &tracks);
+        let [backlash] = found.joints.compliance.as_slice() else {
+            panic!("{:?}", found.joints.compliance)
+        };
+        assert!(backlash.is_backlash() && backlash.column == JOINT, "{backlash:?}");
+        let size = &backlash.value;
+        assert!((size.value - BACKLASH_RAD).abs() < 0.1 * BACKLASH_RAD, "{size:?}");
     }
 
     /// In a small motion, a misread rotation vector is within a calibration's deviations from FK. No joint zero explains it.

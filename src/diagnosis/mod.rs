@@ -41,7 +41,7 @@
 //!    than a linearisation shows. A run that follows FK as logged only between gaps or jumps of the
 //!    numbers starts here.
 //! 8. If some streams are FK of the recorded joint states, and another is not explained or is seen from outside and shows a
-//!    joint zero, the joints are diagnosed by the others.
+//!    joint zero or compliance, the joints are diagnosed by the others.
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
 //! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.

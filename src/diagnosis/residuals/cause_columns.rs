@@ -6,9 +6,7 @@
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::priors::{
-    LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR,
-};
+use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
