@@ -364,5 +364,6 @@ pub fn steady() -> LatencyProfile {
         steps: Vec::new(),
         levels: Vec::new(),
         windows: Vec::new(),
+        parameters: 0,
     }
 }

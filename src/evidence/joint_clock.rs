@@ -124,6 +124,7 @@ impl OtherClock<'_> {
             steps: steps.iter().map(opposite).collect(),
             levels: levels.iter().map(|&(at_s, level_s)| (at_s, least_s - level_s)).collect(),
             windows: windows.map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
+            parameters: self.profile.parameters,
         })
     }
 }
@@ -221,6 +222,7 @@ mod tests {
             steps: vec![LatencyStep { at_s, size_s }],
             levels: vec![(0.0, levels[0]), (at_s, levels[1])],
             windows: Vec::new(),
+            parameters: 2,
         }
     }
 

@@ -30,7 +30,7 @@ use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
 use shapes::{Basis, Fit, likeliest_shape};
-use windows::{NormalizedSample, Window, noise, normalized, windows};
+use windows::{Bin, NormalizedSample, Window, noise, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,6 +72,8 @@ pub struct LatencyProfile {
     pub levels: Vec<(f64, f64)>,
     /// Time and latency of each window.
     pub windows: Vec<(f64, Measured)>,
+    /// Number of parameters beyond a constant latency and a skew.
+    pub parameters: usize,
 }
 
 /// Sudden, lasting change of latency.
@@ -107,9 +109,7 @@ impl LatencyProfile {
             steps: Vec::new(),
             levels,
             windows: measured(windows),
-        };
-        let knots = |times_s: &[f64]| -> Vec<(f64, f64)> {
-            times_s.iter().copied().zip(levels_s.iter().copied()).collect()
+            parameters: fit.basis.parameters(),
         };
         match &fit.basis {
             Basis::Line(_) => steady_profile(windows),
@@ -122,27 +122,30 @@ impl LatencyProfile {
                 let levels = starts_s.zip(levels_s.iter().copied()).collect();
                 Self { steps, ..profile(LatencyShape::Steps, swing_s, levels) }
             }
-            Basis::Knots(times_s) => match times_s.as_slice() {
-                &[from_s, to_s] => {
-                    let levels = [
-                        (windows[0].t_s.min(from_s), levels_s[0]),
-                        (from_s, levels_s[0]),
-                        (to_s, levels_s[1]),
-                        (windows[windows.len() - 1].t_s.max(to_s), levels_s[1]),
-                    ];
-                    let mut levels = levels.to_vec();
-                    levels.dedup();
-                    profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
-                }
-                times_s => {
-                    let swing_s = size_s(levels_s.imin(), levels_s.imax());
-                    profile(LatencyShape::Wander, swing_s, knots(times_s))
-                }
-            },
+            &Basis::Ramp([from_s, to_s]) => {
+                let levels = [
+                    (windows[0].t_s.min(from_s), levels_s[0]),
+                    (from_s, levels_s[0]),
+                    (to_s, levels_s[1]),
+                    (windows[windows.len() - 1].t_s.max(to_s), levels_s[1]),
+                ];
+                let mut levels = levels.to_vec();
+                levels.dedup();
+                profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
+            }
+            Basis::Spline(_) => {
+                let bins = windows.iter().flat_map(|window| &window.bins).enumerate();
+                let level = |(at, bin): (usize, &Bin)| {
+                    (bin.t_s, fit.basis.latency_s(levels_s, at, bin.t_s))
+                };
+                let levels: Vec<(f64, f64)> = bins.map(level).collect();
+                let [low_s, high_s] = range(levels.iter().map(|level| level.1));
+                let of_knots = size_s(levels_s.imin(), levels_s.imax());
+                let swing_s = Measured { value: high_s - low_s, ..of_knots };
+                profile(LatencyShape::Wander, swing_s, levels)
+            }
             Basis::Load(load, _) => {
-                let (min, max) = load
-                    .iter()
-                    .fold((f64::MAX, f64::MIN), |(min, max), &load| (load.min(min), load.max(max)));
+                let [min, max] = range(load.iter().copied());
                 let slope = Measured {
                     value: levels_s[1],
                     std_error: covariance[(1, 1)].max(0.0).sqrt(),
@@ -178,20 +181,6 @@ impl LatencyProfile {
         let usual_s = self.typical_s(t_s);
         self.levels.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
         self
-    }
-
-    /// Number of parameters without the constant.
-    pub(crate) fn parameters(&self) -> usize {
-        match self.shape {
-            LatencyShape::Steady => 0,
-            // Time and size of each step.
-            LatencyShape::Steps => 2 * self.steps.len(),
-            // Start, end and size.
-            LatencyShape::Ramp { .. } => 3,
-            LatencyShape::Wander => self.levels.len(),
-            // Latency per unit of speed.
-            LatencyShape::WithLoad => 1,
-        }
     }
 
     /// Latency at a stamp, s.
@@ -409,6 +398,7 @@ fn steady_profile(windows: &[Window]) -> LatencyProfile {
         steps: Vec::new(),
         levels: Vec::new(),
         windows: measured,
+        parameters: 0,
     }
 }
 
@@ -419,6 +409,11 @@ fn measured(windows: &[Window]) -> Vec<(f64, Measured)> {
     let max_s = MAX_STD_ERROR_RATIO * typical_std_error_s(windows);
     let certain = windows.iter().filter(|window| window.latency_s.std_error < max_s);
     certain.map(|window| (window.t_s, window.latency_s)).collect()
+}
+
+/// Lowest and highest.
+fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::MAX, f64::MIN], |[low, high], value| [low.min(value), high.max(value)])
 }
 
 fn typical_std_error_s(windows: &[Window]) -> f64 {

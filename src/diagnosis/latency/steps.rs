@@ -268,6 +268,7 @@ impl LatencySteps {
         let size = |jump: &LatencyStep| jump.size_s.value.abs();
         let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
         let none = Measured { value: 0.0, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
+        let parameters = 2 * jumps.len();
         LatencyProfile {
             swing_s: largest.map_or(none, |jump| jump.size_s),
             is_unsteady: true,
@@ -279,6 +280,7 @@ impl LatencySteps {
                 .map(|level| (level.from_s, level.lag_s - self.retained_lag_s()))
                 .collect(),
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
+            parameters,
             steps: jumps,
         }
     }

@@ -95,7 +95,7 @@ pub(crate) fn is_unsteady_beside_links(
     }
     let constant = LinkFrameChanges::fit(&logged, state, offsets, stride);
     let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets, stride);
-    let price = price(unsteady.samples as f64) * profile.parameters() as f64;
+    let price = price(unsteady.samples as f64) * profile.parameters as f64;
     let excess = |fit: &LinkFrameChanges| {
         [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
             let Noise { sigma, share, .. } = unsteady.weights[kind].noise;

@@ -10,8 +10,10 @@ pub(super) enum Basis {
     Steps(Vec<f64>),
     /// A constant, and skew about this time.
     Line(f64),
-    /// Linear between these times, constant outside.
-    Knots(Vec<f64>),
+    /// Linear between these two times, constant outside.
+    Ramp([f64; 2]),
+    /// A cubic spline between these times.
+    Spline(Vec<f64>),
     /// A constant, a multiple of this load of each bin, and skew about this time.
     Load(Vec<f64>, f64),
 }
@@ -21,23 +23,33 @@ impl Basis {
         match self {
             Self::Steps(times_s) => times_s.len() + 1,
             Self::Line(_) => 2,
-            Self::Knots(times_s) => times_s.len(),
+            Self::Ramp(_) => 2,
+            Self::Spline(times_s) => times_s.len(),
             Self::Load(..) => 3,
+        }
+    }
+
+    /// Number of parameters beyond a line.
+    pub fn parameters(&self) -> usize {
+        match self {
+            // Time and size of each.
+            Self::Steps(times_s) => 2 * times_s.len(),
+            Self::Line(_) => 0,
+            // Start, end and size.
+            Self::Ramp(_) => 3,
+            // Their distance and the levels.
+            Self::Spline(times_s) => times_s.len(),
+            // Kind of load and slope.
+            Self::Load(..) => 2,
         }
     }
 
     /// Price of the causes beyond a line.
     fn price(&self, windows: f64) -> f64 {
         match self {
-            // Time and size of each.
-            Self::Steps(times_s) => times_s.len() as f64 * price_of_cause(2, windows),
             Self::Line(_) => 0.0,
-            // Start, end and size.
-            Self::Knots(times_s) if times_s.len() == 2 => price_of_cause(3, windows),
-            // Their distance and the levels.
-            Self::Knots(times_s) => price_of_cause(times_s.len(), windows),
-            // Kind of load and slope.
-            Self::Load(..) => price_of_cause(2, windows),
+            Self::Steps(times_s) => times_s.len() as f64 * price_of_cause(2, windows),
+            other => price_of_cause(other.parameters(), windows),
         }
     }
 
@@ -49,24 +61,47 @@ impl Basis {
     /// Terms of a bin.
     fn terms(&self, bin: usize, t_s: f64) -> Terms {
         match self {
-            Self::Steps(times_s) => {
-                [(times_s.partition_point(|at_s| *at_s <= t_s), 1.0), (0, 0.0), (0, 0.0)]
+            Self::Steps(times_s) => only([(times_s.partition_point(|at_s| *at_s <= t_s), 1.0)]),
+            Self::Line(middle_s) => only([(0, 1.0), (1, t_s - middle_s)]),
+            Self::Ramp([from_s, to_s]) => {
+                let part = ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+                only([(0, 1.0 - part), (1, part)])
             }
-            Self::Line(middle_s) => [(0, 1.0), (1, t_s - middle_s), (0, 0.0)],
-            Self::Knots(times_s) => {
-                let after =
-                    times_s.partition_point(|at_s| *at_s <= t_s).clamp(1, times_s.len() - 1);
-                let (a_s, b_s) = (times_s[after - 1], times_s[after]);
-                let part = ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0);
-                [(after - 1, 1.0 - part), (after, part), (0, 0.0)]
-            }
-            Self::Load(load, middle_s) => [(0, 1.0), (1, load[bin]), (2, t_s - middle_s)],
+            Self::Spline(times_s) => spline_terms(times_s, t_s),
+            Self::Load(load, middle_s) => only([(0, 1.0), (1, load[bin]), (2, t_s - middle_s)]),
         }
     }
 
-    fn latency_s(&self, levels_s: &DVector<f64>, bin: usize, t_s: f64) -> f64 {
+    pub fn latency_s(&self, levels_s: &DVector<f64>, bin: usize, t_s: f64) -> f64 {
         self.terms(bin, t_s).into_iter().map(|(level, factor)| factor * levels_s[level]).sum()
     }
+}
+
+fn only<const N: usize>(terms: [(usize, f64); N]) -> Terms {
+    std::array::from_fn(|at| terms.get(at).copied().unwrap_or((0, 0.0)))
+}
+
+/// Terms of a cubic spline through levels at these times, which are about evenly spaced (Catmull and Rom 1974, *A Class of
+/// Local Interpolating Splines*). It ends straight.
+fn spline_terms(times_s: &[f64], t_s: f64) -> Terms {
+    let last = times_s.len() - 1;
+    let after = times_s.partition_point(|at_s| *at_s <= t_s).clamp(1, last);
+    let before = after - 1;
+    let u = ((t_s - times_s[before]) / (times_s[after] - times_s[before])).clamp(0.0, 1.0);
+    let outer = [u * (-0.5 + u * (1.0 - 0.5 * u)), u * u * (0.5 * u - 0.5)];
+    let mut inner = [1.0 + u * u * (1.5 * u - 2.5), u * (0.5 + u * (2.0 - 1.5 * u))];
+    // Beyond its ends, the spline is extrapolated.
+    let mut terms = [(0, 0.0); 4];
+    match before.checked_sub(1) {
+        Some(earlier) => terms[0] = (earlier, outer[0]),
+        None => (inner[0], inner[1]) = (inner[0] + 2.0 * outer[0], inner[1] - outer[0]),
+    }
+    match after + 1 {
+        later if later <= last => terms[3] = (later, outer[1]),
+        _ => (inner[0], inner[1]) = (inner[0] - outer[1], inner[1] + 2.0 * outer[1]),
+    }
+    (terms[1], terms[2]) = ((before, inner[0]), (after, inner[1]));
+    terms
 }
 
 /// A fitted latency.
@@ -97,7 +132,7 @@ impl Fit {
             first += window.bins.len();
         }
         let tie = TIE * matrix.trace() / n as f64;
-        if matches!(basis, Basis::Steps(_) | Basis::Knots(_)) {
+        if matches!(basis, Basis::Steps(_) | Basis::Ramp(_) | Basis::Spline(_)) {
             for level in 1..n {
                 matrix[(level - 1, level - 1)] += tie;
                 matrix[(level, level)] += tie;
@@ -183,23 +218,25 @@ fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
 /// The likeliest ramp between two constant levels, if its score may exceed `min_score`.
 fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_TRIAL_TIMES: usize = 40;
-    if Basis::Knots(vec![0.0; 2]).max_score(effective_count(windows)) <= min_score {
+    if Basis::Ramp([0.0; 2]).max_score(effective_count(windows)) <= min_score {
         return None;
     }
     let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
     let stride = windows.len().div_ceil(MAX_TRIAL_TIMES).max(1);
     let times_s: Vec<f64> = windows.iter().step_by(stride).map(|window| window.t_s).collect();
     let pairs = times_s.iter().enumerate();
-    let pairs = pairs.flat_map(|(at, a)| times_s[at + 1..].iter().map(move |b| vec![*a, *b]));
-    let fits = pairs.filter_map(|pair| Fit::new(&coarse, Basis::Knots(pair)));
+    let pairs = pairs.flat_map(|(at, a)| times_s[at + 1..].iter().map(move |b| [*a, *b]));
+    let fits = pairs.filter_map(|pair| Fit::new(&coarse, Basis::Ramp(pair)));
     let best = fits.max_by(|a, b| a.score.total_cmp(&b.score))?;
     match best.basis {
-        Basis::Knots(times_s) => refined_times(windows, times_s, Basis::Knots),
+        Basis::Ramp(times_s) => refined_times(windows, times_s.to_vec(), |times_s| {
+            Basis::Ramp([times_s[0], times_s[1]])
+        }),
         _ => None,
     }
 }
 
-/// The likeliest piecewise linear latency between the ends of the run and evenly chosen windows whose score may exceed `min_score`.
+/// The likeliest spline between the ends of the run and evenly chosen windows whose score may exceed `min_score`.
 fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MIN_KNOTS: usize = 4;
     /// From the end of the run: a level needs motion on both sides.
@@ -214,7 +251,7 @@ fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     });
     let knots = knots.take_while(|knots| knots.len() >= MIN_KNOTS);
     let count = effective_count(windows);
-    let knots = knots.map(Basis::Knots).filter(|basis| basis.max_score(count) > min_score);
+    let knots = knots.map(Basis::Spline).filter(|basis| basis.max_score(count) > min_score);
     let fits = knots.filter_map(|basis| Fit::new(windows, basis));
     fits.max_by(|a, b| a.score.total_cmp(&b.score))
 }

@@ -1,6 +1,6 @@
 //! Samples as sums over windows of about a second, and over short bins within.
 
-use super::LatencySample;
+use super::{LatencySample, typical_std_error_s};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 use nalgebra::{DMatrix, DVector};
@@ -21,7 +21,7 @@ pub(super) struct NormalizedSample {
 }
 
 /// Levels that contribute to a latency, with their factors. Those of factor 0 do not.
-pub(super) type Terms = [(usize, f64); 3];
+pub(super) type Terms = [(usize, f64); 4];
 
 /// Sums over the samples of a bin.
 pub(super) struct Bin {
@@ -245,9 +245,10 @@ pub(super) fn normalized(
     samples.iter().map(sample).collect()
 }
 
-/// Number of windows, less those with large standard errors.
+/// Number of windows, less those with larger standard errors than usual.
 pub(super) fn effective_count(windows: &[Window]) -> f64 {
-    let certainty = |window: &Window| window.latency_s.std_error.recip();
+    let usual_s = typical_std_error_s(windows);
+    let certainty = |window: &Window| window.latency_s.std_error.max(usual_s).recip();
     let sum: f64 = windows.iter().map(certainty).sum();
     let squares: f64 = windows.iter().map(|window| certainty(window).powi(2)).sum();
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
