@@ -83,7 +83,7 @@ pub use pose_distance::PoseDistance;
 pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;
 pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
-pub use role::Role;
+pub use role::{Role, named_encodings};
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
 pub use segments::{Segment, segments};

@@ -1,7 +1,7 @@
 //! Determines a topic's role from name, type and frames.
 
-use crate::geometry::Convention;
-use crate::log::COMMAND_WORDS;
+use crate::geometry::{Convention, RotationEncoding, vendors};
+use crate::log::{COMMAND_WORDS, RotationLabels};
 use crate::stream::Columns;
 
 use super::streams::Stream;
@@ -425,6 +425,24 @@ fn find_sequence<Of: Copy>(words: &[String], known: &[(&[&str], Of)]) -> Option<
 pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'static str> {
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
+/// Encodings that the names of rotation columns may denote; the usual one of the arm's vendor first.
+pub fn named_encodings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
+    let is_of = |vendor: &str| arm.to_lowercase().contains(vendor);
+    // Vendors in `vendors.toml`.
+    let vendors: &[&str] = match labels {
+        RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
+        RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],
+        RotationLabels::RollPitchYaw => &["xarm"],
+        RotationLabels::Wpr => &["fanuc"],
+        RotationLabels::Oat => &["kawasaki"],
+        // A Doosan is configurable to other orders.
+        RotationLabels::Abc if is_of("doosan") => &["doosan", "kuka", "mitsubishi"],
+        RotationLabels::Abc if is_of("mitsubishi") => &["mitsubishi"],
+        RotationLabels::Abc => &["kuka"],
+    };
+    vendors.iter().filter_map(|vendor| Some(vendors::find(vendor)?.coding)).collect()
+}
+
 
 /// Words in lower case: split at other characters than letters and digits, and before a capital after a
 /// small letter.
@@ -478,6 +496,19 @@ mod tests {
         );
         assert_eq!(split_words("O_T_EE"), ["o", "t", "ee"]);
         assert_eq!(split_words("//"), [""; 0]);
+    #[test]
+    fn names_of_rotation_columns_state_an_encoding() {
+        for (labels, arm, encoding) in [
+            (RotationLabels::RollPitchYaw, "ufactory_lite6", "euler:xyz"),
+            (RotationLabels::Abc, "kuka_kr6_r900_2", "euler:ZYX"),
+            (RotationLabels::Abc, "doosan_m0609", "euler:ZYZ"),
+            (RotationLabels::RotationVector, "ur5e", "rotvec"),
+        ] {
+            let first = named_encodings(labels, arm).first().map(RotationEncoding::to_string);
+            assert_eq!(first.as_deref(), Some(encoding), "{arm}");
+        }
+    }
+
     }
 
     #[test]
