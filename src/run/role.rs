@@ -147,6 +147,9 @@ const DRIVER_TOPICS: &[(&[&str], &str)] = &[
     (&["end", "effector", "pose"], "arm drivers"),
 ];
 
+/// Child frame of the transform that UR drivers publish for the tool pose.
+const UR_TOOL_FRAME: &str = "tool0_controller";
+
 /// Consecutive topic words of tool poses whose three rotation numbers have a documented convention: Universal Robots,
 /// RTDE and client interfaces.
 const DOCUMENTED_CONVENTIONS: &[(&[&str], Convention)] =
@@ -408,6 +411,11 @@ pub(super) fn is_driver_topic(topic: &str) -> bool {
     find_driver(&split_words(topic)).is_some()
 }
 
+/// Whether a driver publishes its tool pose as a transform to this frame.
+pub(super) fn is_driver_frame(child_frame_id: &str) -> bool {
+    child_frame_id.ends_with(UR_TOOL_FRAME)
+}
+
 pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
     find_sequence(topic_words, DRIVER_TOPICS)
 }
@@ -417,14 +425,6 @@ pub(super) fn documented_convention(topic: &str) -> Option<Convention> {
     find_sequence(&split_words(topic), DOCUMENTED_CONVENTIONS)
 }
 
-fn find_sequence<Of: Copy>(words: &[String], known: &[(&[&str], Of)]) -> Option<Of> {
-    let has = |sequence: &[&str]| words.windows(sequence.len()).any(|window| window == sequence);
-    known.iter().find(|(sequence, _)| has(sequence)).map(|(_, of)| *of)
-}
-
-pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'static str> {
-    known.iter().copied().find(|known| words.iter().any(|word| word == known))
-}
 /// Encodings that the names of rotation columns may denote; the usual one of the arm's vendor first.
 pub fn named_encodings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
     let is_of = |vendor: &str| arm.to_lowercase().contains(vendor);
@@ -443,6 +443,14 @@ pub fn named_encodings(labels: RotationLabels, arm: &str) -> Vec<RotationEncodin
     vendors.iter().filter_map(|vendor| Some(vendors::find(vendor)?.coding)).collect()
 }
 
+fn find_sequence<Of: Copy>(words: &[String], known: &[(&[&str], Of)]) -> Option<Of> {
+    let has = |sequence: &[&str]| words.windows(sequence.len()).any(|window| window == sequence);
+    known.iter().find(|(sequence, _)| has(sequence)).map(|(_, of)| *of)
+}
+
+pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'static str> {
+    known.iter().copied().find(|known| words.iter().any(|word| word == known))
+}
 
 /// Words in lower case: split at other characters than letters and digits, and before a capital after a
 /// small letter.
@@ -489,14 +497,6 @@ mod tests {
     }
 
     #[test]
-    fn names_are_split_at_marks_and_capitals() {
-        assert_eq!(
-            split_words("/iiwa/state/CartesianPose"),
-            ["iiwa", "state", "cartesian", "pose"]
-        );
-        assert_eq!(split_words("O_T_EE"), ["o", "t", "ee"]);
-        assert_eq!(split_words("//"), [""; 0]);
-    #[test]
     fn names_of_rotation_columns_state_an_encoding() {
         for (labels, arm, encoding) in [
             (RotationLabels::RollPitchYaw, "ufactory_lite6", "euler:xyz"),
@@ -509,6 +509,14 @@ mod tests {
         }
     }
 
+    #[test]
+    fn names_are_split_at_marks_and_capitals() {
+        assert_eq!(
+            split_words("/iiwa/state/CartesianPose"),
+            ["iiwa", "state", "cartesian", "pose"]
+        );
+        assert_eq!(split_words("O_T_EE"), ["o", "t", "ee"]);
+        assert_eq!(split_words("//"), [""; 0]);
     }
 
     #[test]
