@@ -688,11 +688,11 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     }
     let mut groups = Vec::new();
     for (home, members) in homes {
-        let own = members
-            .iter()
-            .filter(|(_, joint)| !names::is_gripper(&names::split_words(joint)))
-            .count();
-        if own < *JOINT_COUNTS.start() {
+        // The hand in `left_hand.joint_1` is part of the path.
+        let of_arm = |(cell, _): &&(Cell, String)| {
+            !names::is_gripper(&names::split_words(name(table, *cell)))
+        };
+        if members.iter().filter(of_arm).count() < *JOINT_COUNTS.start() {
             continue;
         }
         let (cells, names): (Vec<Cell>, Vec<String>) = members.into_iter().unzip();
