@@ -140,7 +140,13 @@ fn a_table_without_times_is_refused_with_its_columns_and_the_rate_of_its_velocit
     let pasted = audit_with(&logs, Some("ur5e"), Some(layout)).expect("a report");
     assert!(!fault_codes(&pasted).contains(&"VEL001"), "{:?}", pasted.findings);
     assert_eq!((pasted.error, pasted.robots[0].name.as_str()), (None, "ur5e"));
-    // Without velocities the rate is open.
+    // Without velocities the rate is open, and with zeros as well.
+    let zeros = |row: &Vec<f64>| [&row[1..7], &[0.0; 6], &row[7..]].concat();
+    let names = "q1,q2,q3,q4,q5,q6,qd1,qd2,qd3,qd4,qd5,qd6,x,y,z,qx,qy,qz,qw\n".to_owned();
+    let text_with_zeros = names + &text(&all.iter().map(zeros).collect::<Vec<_>>());
+    let logs = [write(folder.path(), "run.csv", &text_with_zeros)];
+    let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+    assert!(!refusal.what.contains("imply"), "{refusal}");
     let rows: Vec<Vec<f64>> = all.iter().map(|row| row[1..].to_vec()).collect();
     let names = "q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
     let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];

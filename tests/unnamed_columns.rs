@@ -191,8 +191,15 @@ fn column_names_that_contradict_the_numbers_are_a_finding() {
     // Positions and quaternions that are named as joints.
     let poses: Vec<Vec<f64>> =
         CLEAN.rows().iter().map(|row| [&row[..1], &row[7..]].concat()).collect();
-    let (found, message) = status(&poses, &["t", "q1", "q2", "q3", "q4", "q5", "q6", "q7"]);
-    assert!(found == Status::Fail && message.contains("unit quaternion"), "{message}");
+    let about_one_axis = |(at, row): (usize, &Vec<f64>)| {
+        let half = 0.01 * at as f64;
+        [&row[..4], &[0.0, 0.0, half.sin(), half.cos()]].concat()
+    };
+    let about_one_axis: Vec<Vec<f64>> = poses.iter().enumerate().map(about_one_axis).collect();
+    for poses in [&poses, &about_one_axis] {
+        let (found, message) = status(poses, &["t", "q1", "q2", "q3", "q4", "q5", "q6", "q7"]);
+        assert!(found == Status::Fail && message.contains("unit quaternion"), "{message}");
+    }
     // Degrees in columns named as rad.
     let degrees = Table { joint_factor: 1_f64.to_degrees(), poses: false, ..CLEAN }.rows();
     let names = ["t", "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad"];

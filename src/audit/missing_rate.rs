@@ -137,7 +137,8 @@ fn implied_rate_hz(log: &Log) -> Option<f64> {
         [vv + velocity * velocity, rr + rate * rate, vr + velocity * rate]
     });
     let rate_hz = ASSUMED_RATE_HZ * vr / rr;
-    let is_known = rate_hz.is_finite() && vr >= MIN_CORRELATION * (vv * rr).sqrt();
+    // All velocities may be zero.
+    let is_known = rate_hz.is_finite() && rate_hz > 0.0 && vr >= MIN_CORRELATION * (vv * rr).sqrt();
     let digits = || 10.0_f64.powf(2.0 - rate_hz.log10().floor());
     is_known.then(|| (rate_hz * digits()).round() / digits())
 }

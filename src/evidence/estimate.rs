@@ -8,6 +8,7 @@ use crate::diagnosis::{
     PoseEncoding, PoseStream, StreamResidual, best_lag_peak, compensate_latency, diagnose_derived,
     diagnose_imu_with_latency_compensation, diagnose_run, fault_count, position_misfit_m,
 };
+use crate::geometry::AngleUnit;
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, PoseSource, Run, common_diagnosis_count, realign_moving_bases};
 use crate::stream::{JointTrack, Orientations};
@@ -122,8 +123,8 @@ fn with_other_reference(
     better.next()
 }
 
-/// Diagnosis with rotation numbers in the convention that their driver documents, if the motion does not determine it, or
-/// another one explains the poses far worse. Wrong joint states can hide it.
+/// Diagnosis with rotation numbers in the convention that their driver documents or their column names state, if the
+/// motion does not determine it, or another one explains the poses far worse. Wrong joint states can hide it.
 fn with_documented_conventions(
     run: &Run,
     arm: &Arm,
@@ -133,7 +134,7 @@ fn with_documented_conventions(
     let mut arm = arm.clone();
     let mut undetermined: Vec<bool> = Vec::new();
     for (source, found) in arm.poses.iter_mut().zip(&found.arm.streams) {
-        let documented = run.streams[source.stream].documented_convention();
+        let documented = run.streams[source.stream].documented_convention(&arm.robot.name);
         let (Orientations::Numbers(numbers), Some(convention)) =
             (&source.track.orientation, documented)
         else {
@@ -141,8 +142,11 @@ fn with_documented_conventions(
         };
         let read = found.encoding.as_ref().map(|encoding| encoding.best);
         if !matches!(read, Ok(PoseEncoding::Numbers(read)) if read == convention) {
-            let rotations = numbers.iter().map(|numbers| convention.rotation(*numbers)).collect();
-            source.track.orientation = Orientations::Rotations(rotations);
+            let unit = angle_unit_by_size(numbers);
+            let rotation =
+                |numbers: &[f64; 3]| convention.rotation(numbers.map(|it| it * unit.in_rad()));
+            source.track.orientation =
+                Orientations::Rotations(numbers.iter().map(rotation).collect());
             undetermined.push(read.is_err());
         }
     }
@@ -153,6 +157,12 @@ fn with_documented_conventions(
     let is_better = documented.arm.is_far_better_than(&found.arm)
         || (undetermined.contains(&true) && documented.arm.is_as_good_as(&found.arm));
     is_better.then_some((arm, documented))
+}
+
+/// Degrees if any number exceeds a turn in radians.
+fn angle_unit_by_size(numbers: &[[f64; 3]]) -> AngleUnit {
+    let is_turn = |number: &f64| number.abs() > std::f64::consts::TAU;
+    if numbers.iter().flatten().any(is_turn) { AngleUnit::Degree } else { AngleUnit::Radian }
 }
 
 /// Diagnosis with a turn of the last joint instead of the tool, or of the tool instead of the joint, if an IMU beyond them

@@ -15,6 +15,8 @@ pub enum RunError {
         question: Option<String>,
         /// Whether the log consists of tables.
         is_of_tables: bool,
+        /// Whether the caller named the robot.
+        is_robot_named: bool,
     },
     /// No finite sample has all joints of the arm.
     NoSamples {
@@ -273,6 +275,9 @@ impl RunError {
     /// Suggested action, as a clause.
     pub fn remedy(&self) -> &'static str {
         match self {
+            Self::NoJointStates { question: Some(_), is_robot_named: true, .. } => {
+                "pass that option"
+            }
             Self::NoJointStates { question: Some(_), .. } => {
                 "pass that option, or name the arm with --robot"
             }

@@ -83,7 +83,7 @@ pub use pose_distance::PoseDistance;
 pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;
 pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
-pub use role::Role;
+pub use role::{Role, named_encodings};
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
 pub use segments::{Segment, segments};
@@ -299,10 +299,16 @@ impl Run {
                 (true, format!("its motion is consistent with that (speed correlation {peak:.2})"))
             }
             // Joints in a wrong order or with wrong signs move otherwise.
-            Some(peak) if presumed && role::is_driver_topic(&resolved.topic) => (
-                true,
-                format!("as recorded, it does not follow {of} (speed correlation {peak:.2})"),
-            ),
+            Some(peak)
+                if presumed
+                    && (role::is_driver_topic(&resolved.topic)
+                        || role::is_driver_frame(&resolved.child_frame_id)) =>
+            {
+                (
+                    true,
+                    format!("as recorded, it does not follow {of} (speed correlation {peak:.2})"),
+                )
+            }
             Some(peak) => (
                 false,
                 format!(

@@ -1,7 +1,7 @@
 //! Determines a topic's role from name, type and frames.
 
-use crate::geometry::Convention;
-use crate::log::COMMAND_WORDS;
+use crate::geometry::{Convention, RotationEncoding, vendors};
+use crate::log::{COMMAND_WORDS, RotationLabels};
 use crate::stream::Columns;
 
 use super::streams::Stream;
@@ -146,6 +146,9 @@ const DRIVER_TOPICS: &[(&[&str], &str)] = &[
     (&["eef", "pose"], "arm drivers"),
     (&["end", "effector", "pose"], "arm drivers"),
 ];
+
+/// Child frame of the transform that UR drivers publish for the tool pose.
+const UR_TOOL_FRAME: &str = "tool0_controller";
 
 /// Consecutive topic words of tool poses whose three rotation numbers have a documented convention: Universal Robots,
 /// RTDE and client interfaces.
@@ -408,6 +411,11 @@ pub(super) fn is_driver_topic(topic: &str) -> bool {
     find_driver(&split_words(topic)).is_some()
 }
 
+/// Whether a driver publishes its tool pose as a transform to this frame.
+pub(super) fn is_driver_frame(child_frame_id: &str) -> bool {
+    child_frame_id.ends_with(UR_TOOL_FRAME)
+}
+
 pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
     find_sequence(topic_words, DRIVER_TOPICS)
 }
@@ -415,6 +423,24 @@ pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
 /// Convention that the driver of this topic documents for three rotation numbers.
 pub(super) fn documented_convention(topic: &str) -> Option<Convention> {
     find_sequence(&split_words(topic), DOCUMENTED_CONVENTIONS)
+}
+
+/// Encodings that the names of rotation columns may denote; the usual one of the arm's vendor first.
+pub fn named_encodings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
+    let is_of = |vendor: &str| arm.to_lowercase().contains(vendor);
+    // Vendors in `vendors.toml`.
+    let vendors: &[&str] = match labels {
+        RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
+        RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],
+        RotationLabels::RollPitchYaw => &["xarm"],
+        RotationLabels::Wpr => &["fanuc"],
+        RotationLabels::Oat => &["kawasaki"],
+        // A Doosan is configurable to other orders.
+        RotationLabels::Abc if is_of("doosan") => &["doosan", "kuka", "mitsubishi"],
+        RotationLabels::Abc if is_of("mitsubishi") => &["mitsubishi"],
+        RotationLabels::Abc => &["kuka"],
+    };
+    vendors.iter().filter_map(|vendor| Some(vendors::find(vendor)?.coding)).collect()
 }
 
 fn find_sequence<Of: Copy>(words: &[String], known: &[(&[&str], Of)]) -> Option<Of> {
@@ -467,6 +493,19 @@ mod tests {
             ("/tool_position", None),
         ] {
             assert_eq!(documented_convention(topic), documented, "{topic}");
+        }
+    }
+
+    #[test]
+    fn names_of_rotation_columns_state_an_encoding() {
+        for (labels, arm, encoding) in [
+            (RotationLabels::RollPitchYaw, "ufactory_lite6", "euler:xyz"),
+            (RotationLabels::Abc, "kuka_kr6_r900_2", "euler:ZYX"),
+            (RotationLabels::Abc, "doosan_m0609", "euler:ZYZ"),
+            (RotationLabels::RotationVector, "ur5e", "rotvec"),
+        ] {
+            let first = named_encodings(labels, arm).first().map(RotationEncoding::to_string);
+            assert_eq!(first.as_deref(), Some(encoding), "{arm}");
         }
     }
 

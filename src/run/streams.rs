@@ -2,13 +2,15 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::geometry::Convention;
+use crate::geometry::{Convention, RotationEncoding};
 use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, ClockSource, StreamClock};
-use super::role::{Role, documented_convention, role_by_content, role_by_name, split_words};
+use super::role::{
+    Role, documented_convention, named_encodings, role_by_content, role_by_name, split_words,
+};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
@@ -107,9 +109,13 @@ impl Stream {
         matches!(self.columns, Some(Columns::Array(_))) || self.has_position_columns()
     }
 
-    /// Convention that its driver documents for three rotation numbers.
-    pub fn documented_convention(&self) -> Option<Convention> {
-        documented_convention(&self.topic)
+    /// Convention of three rotation numbers that its driver documents, or that its column names state for `arm`.
+    pub fn documented_convention(&self, arm: &str) -> Option<Convention> {
+        let named = || match named_encodings(self.labels?, arm).first() {
+            Some(RotationEncoding::Three(convention)) => Some(*convention),
+            _ => None,
+        };
+        documented_convention(&self.topic).or_else(named)
     }
 
     fn mark_empty(&mut self) {

@@ -125,7 +125,8 @@ fn a_pose_measured_onto_tf_is_a_candidate_and_no_part_of_the_arm() {
         .collect();
     assert_eq!(children, [("tool0_controller", "unassigned"), ("tool0", "pose")]);
     assert_eq!(run.candidates().collect::<Vec<_>>(), [3]);
-    run.resolve_candidate(3, Some(0.97), false);
+    // A network that delivers in bursts distorts the speeds by stamps; the driver's frame stays the tool's.
+    run.resolve_candidate(3, Some(0.17), false);
     assert_eq!(run.streams[3].role, Role::Pose);
     assert_eq!(run.arms[0].poses.len(), 2);
 }

@@ -53,7 +53,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn judge(loss: &Loss) -> SubjectResult {
     let file = loss.file.display().to_string();
     let (severity, title, fix) = match loss.extent {
-        Extent::Index => (Severity::Warning, "index is missing", "rebuild the index: mcap recover"),
+        Extent::Index => (
+            Severity::Warning,
+            "index is missing",
+            "rebuild the index: `mcap recover`, or `rosbag reindex` for a ROS 1 bag",
+        ),
         Extent::Tail => (
             Severity::Warning,
             "end of the log is missing",

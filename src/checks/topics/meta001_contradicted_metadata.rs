@@ -3,8 +3,9 @@ use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::geometry::{Convention, QuaternionOrderError, RotationEncoding, vendors};
+use crate::geometry::{QuaternionOrderError, RotationEncoding};
 use crate::log::{Note, RotationLabels};
+use crate::run::named_encodings;
 
 rule! {
     /// Metadata contradict the data.
@@ -114,7 +115,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
     if encoding.best_rad > MAX_FOLLOWING_RESIDUAL_RAD {
         return None;
     }
-    let named = codings(labels, &arm.name);
+    let named = named_encodings(labels, &arm.name);
     let coding = |encoding: &PoseEncoding| match encoding {
         PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(*convention)),
         PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
@@ -144,24 +145,6 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
         }
     };
     Some(pose.judged(outcome))
-}
-
-/// Encodings that the names may denote.
-fn codings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
-    let is_of = |maker: &str| arm.to_lowercase().contains(maker);
-    // Manufacturers in `vendors.toml`.
-    let makers: &[&str] = match labels {
-        RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
-        RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],
-        RotationLabels::RollPitchYaw => &["xarm"],
-        RotationLabels::Wpr => &["fanuc"],
-        RotationLabels::Oat => &["kawasaki"],
-        // A Doosan is configurable to other orders.
-        RotationLabels::Abc if is_of("doosan") => &["doosan", "kuka", "mitsubishi"],
-        RotationLabels::Abc if is_of("mitsubishi") => &["mitsubishi"],
-        RotationLabels::Abc => &["kuka"],
-    };
-    makers.iter().filter_map(|maker| Some(vendors::find(maker)?.coding)).collect()
 }
 
 fn label_text(labels: RotationLabels) -> &'static str {

@@ -70,6 +70,10 @@ const EXCLUDED_WORDS: &[&str] = &[
     "sleep",
 ];
 
+/// Words for numbers that count rows or messages, at whatever rate.
+const COUNTER_WORDS: &[&str] =
+    &["id", "ids", "index", "idx", "seq", "sequence", "count", "counter", "frame", "row", "packet"];
+
 /// Share of the steps.
 const MAX_BACKWARD_PERCENT: usize = 2;
 
@@ -433,7 +437,11 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     }
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
-    for (at, column) in table.columns.iter().enumerate() {
+    let is_counter = |column: &Column| {
+        names::split_words(&column.name).iter().any(|word| COUNTER_WORDS.contains(&word.as_str()))
+    };
+    let columns = table.columns.iter().enumerate();
+    for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
@@ -550,7 +558,9 @@ pub(super) fn increases_like_times(values: &[f64], kind: &str) -> bool {
     let is_rising = steps.iter().all(|step| *step >= 0.0);
     let Some(middle) = median(&mut steps) else { return false };
     let regular = steps.iter().filter(|step| **step >= MIN_STEP_RATIO * middle).count();
+    // If most rows repeat the number, it counts configurations.
     is_rising
+        && middle > 0.0
         && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
         && from_column(0, &column, None).is_some()
 }

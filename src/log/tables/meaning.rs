@@ -380,7 +380,8 @@ fn group_few_joints(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     for &cell in all {
         let own = name(table, cell);
         let words = names::split_words(own);
-        let is_joint = names::is_joint_positions(&words);
+        let is_angle = names::says_degrees(own) && names::is_bare_position(&words);
+        let is_joint = names::is_joint_positions(&words) || is_angle;
         let (stem, number) = names::numbered(own).unwrap_or_else(|| (words.clone(), 1));
         match () {
             () if is_joint => {
@@ -688,11 +689,11 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     }
     let mut groups = Vec::new();
     for (home, members) in homes {
-        let own = members
-            .iter()
-            .filter(|(_, joint)| !names::is_gripper(&names::split_words(joint)))
-            .count();
-        if own < *JOINT_COUNTS.start() {
+        // The hand in `left_hand.joint_1` is part of the path.
+        let of_arm = |(cell, _): &&(Cell, String)| {
+            !names::is_gripper(&names::split_words(name(table, *cell)))
+        };
+        if members.iter().filter(of_arm).count() < *JOINT_COUNTS.start() {
             continue;
         }
         let (cells, names): (Vec<Cell>, Vec<String>) = members.into_iter().unzip();
@@ -739,7 +740,10 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
             let names = UR_JOINTS.map(str::to_owned).to_vec();
             (joints_of(names, false), by_name("joints of a UR"))
         }
-        width if names::is_joint_positions(&words) && JOINT_COUNTS.contains(&width) => {
+        width
+            if JOINT_COUNTS.contains(&width)
+                && (names::is_joint_positions(&words) || has_velocities(table, column)) =>
+        {
             let side = names::arm_prefix(&words);
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
             (joints_of(names, true), by_name("joint positions"))
@@ -800,6 +804,16 @@ fn are_homogeneous(column: &Column) -> bool {
             .into_iter()
             .any(|last| rows().all(|row| is_last(row, last)))
         && rotation_rows(column, 16, ELEMENTS)
+}
+
+/// Whether the column is named `positions` or similar, and another one has a velocity of each number. A pose of as many
+/// numbers has a word for the tool.
+fn has_velocities(table: &Table, column: &Column) -> bool {
+    let is_velocity = |other: &Column| {
+        other.width == column.width && names::is_bare_velocity(&names::split_words(&other.name))
+    };
+    names::is_bare_position(&names::split_words(&column.name))
+        && table.columns.iter().any(is_velocity)
 }
 
 /// Names next to the positions of a joint state, as `ros2 topic echo` writes them.

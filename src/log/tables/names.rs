@@ -65,7 +65,19 @@ pub(super) fn split_words(name: &str) -> Vec<String> {
         }
         last = c;
     }
-    words
+    words.into_iter().flat_map(split_german).collect()
+}
+
+/// `ist` and `position` of KUKA's `Istposition`, which no case separates.
+fn split_german(word: String) -> Vec<String> {
+    const STATES: [&str; 2] = ["ist", "soll"];
+    const QUANTITIES: [&str; 6] =
+        ["position", "winkel", "geschwindigkeit", "beschleunigung", "moment", "strom"];
+    let parts = STATES.iter().find_map(|state| {
+        let quantity = word.strip_prefix(state).filter(|rest| QUANTITIES.contains(rest))?;
+        Some(vec![(*state).to_owned(), quantity.to_owned()])
+    });
+    parts.unwrap_or_else(|| vec![word])
 }
 
 const VELOCITY_WORDS: &[&str] = &[
@@ -83,6 +95,7 @@ const VELOCITY_WORDS: &[&str] = &[
     "dot",
     "dtheta",
     "thetadot",
+    "geschwindigkeit",
 ];
 
 /// Neither joint positions nor poses.
@@ -123,7 +136,13 @@ const OTHER_WORDS: &[&str] = &[
     "temp",
     "acc",
     "accel",
+    "accelerations",
     "acceleration",
+    "beschleunigung",
+    "beschleunigungsdifferenz",
+    "geschwindigkeitsdifferenz",
+    "positionsschleppfehler",
+    "strom",
     "cos",
     "sin",
     "voltage",
@@ -170,6 +189,7 @@ pub const COMMAND_WORDS: &[&str] = &[
     "plan",
     "planned",
     "interactive",
+    "soll",
 ];
 
 pub(super) const GRIPPER_WORDS: &[&str] =
@@ -240,6 +260,8 @@ const GENERIC_WORDS: &[&str] = &[
     "value",
     "current",
     "field",
+    "ist",
+    "soll",
     "a",
     "j",
     "jt",
@@ -401,6 +423,7 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
         "current",
         "angle",
         "angles",
+        "ist",
         "a",
         "j",
         "s",
@@ -417,6 +440,20 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
             || is_differential()
     };
     (0..words.len()).filter(|&at| !is_neutral(at)).map(|at| words[at].clone()).collect()
+}
+
+/// Whether a name states positions or angles, measured or commanded, and not of what.
+pub(super) fn is_bare_position(words: &[String]) -> bool {
+    const WORDS: &[&str] = &["pos", "position", "positions", "winkel", "angle", "angles"];
+    let is_command = |word: &String| COMMAND_WORDS.contains(&word.as_str());
+    contains_any(words, WORDS)
+        && shared_words(words).iter().all(is_command)
+        && !is_other_quantity(words)
+}
+
+/// Whether a name states velocities, and not of what.
+pub(super) fn is_bare_velocity(words: &[String]) -> bool {
+    is_joint_velocities(words) && shared_words(words).is_empty()
 }
 
 /// `qd` can mean desired positions or velocities.

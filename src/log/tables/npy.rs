@@ -276,9 +276,14 @@ impl<'a> NpyArray<'a> {
         }
         let rows = *header.shape.first().ok_or("it is a single number")?;
         let inner = header.shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let inner = inner
-            .filter(|inner| (1..=MAX_WIDTH).contains(inner))
-            .ok_or("its rows are images or empty")?;
+        let sides = || {
+            let sides: Vec<String> = header.shape[1..].iter().map(usize::to_string).collect();
+            format!(
+                "its rows have {} numbers, as images have; save each of several episodes as an array of its own",
+                sides.join(" × ")
+            )
+        };
+        let inner = inner.filter(|inner| (1..=MAX_WIDTH).contains(inner)).ok_or_else(sides)?;
         // Without data, the declared size is not credible.
         if header.bytes().is_none() || (rows > 0 && bytes == 0) {
             return Err(format!("it declares {rows} rows of {inner} numbers without data").into());

@@ -2,7 +2,8 @@
 //! numbers are vectors.
 //!
 //! A document is a list of records, one record for each key, or one list for each column. Several YAML documents,
-//! as `rostopic echo` prints them, are one record each.
+//! as `rostopic echo` prints them, are one record each. Several JSON documents, as a program that appends to a file
+//! writes them, contain the rows of all.
 
 use std::collections::BTreeSet;
 
@@ -96,12 +97,42 @@ pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     check_memory(text.len(), context.memory)?;
     let document = match serde_json::from_slice::<Value>(text) {
         Ok(document) => document,
-        Err(error) => match read_lines(text, context)? {
-            Some(records) => return records.finish(context),
-            None => return Err(format!("the JSON cannot be read: {error}").into()),
-        },
+        Err(error) => {
+            let records = match read_lines(text, context)? {
+                Some(records) => Some(records),
+                None => read_concatenated(text, context)?,
+            };
+            return match records {
+                Some(records) => records.finish(context),
+                None => Err(format!("the JSON cannot be read: {error}").into()),
+            };
+        }
     };
     read_document(&document, context)
+}
+
+/// Documents one after another, each over several lines; `None` unless there are two.
+fn read_concatenated(
+    text: &[u8],
+    context: &mut ReadContext,
+) -> Result<Option<Records>, TableError> {
+    let mut documents = serde_json::Deserializer::from_slice(text).into_iter::<Value>();
+    let (mut records, mut count) = (Records::default(), 0);
+    while let Some(document) = documents.next() {
+        match document {
+            Ok(document) => {
+                count += 1;
+                records.push_rows(&document, context.memory)?;
+            }
+            Err(_) if count < 2 => return Ok(None),
+            Err(error) => {
+                let what = format!("after {count} JSON documents: {error}");
+                context.losses.add_unplaced(Extent::Messages, None, what);
+                break;
+            }
+        }
+    }
+    Ok((count > 1 && !records.columns.is_empty()).then_some(records))
 }
 
 /// Names and rate of a first record that describes the others: it has no time and no name of the second one, which has
@@ -213,21 +244,10 @@ fn check_memory(bytes: usize, memory: &MemoryBudget) -> Result<(), OutOfMemory> 
 fn read_document(document: &Value, context: &mut ReadContext) -> Result<Episodes, TableError> {
     let mut records = Records { rate_hz: rate_in(document), ..Records::default() };
     match document {
-        Value::Array(items) => {
-            items.iter().try_for_each(|item| records.push(item, context.memory))?;
+        Value::Object(members) if let Shape::Columns(columns) = Shape::of(members) => {
+            return read_columns(&columns, records, context);
         }
-        Value::Object(members) => match Shape::of(members) {
-            Shape::ByKey(rows) => {
-                for (key, row) in rows {
-                    records.push_with_key(key, row, context.memory)?;
-                }
-            }
-            Shape::List(items) => {
-                items.iter().try_for_each(|item| records.push(item, context.memory))?;
-            }
-            Shape::Columns(columns) => return read_columns(&columns, records, context),
-            Shape::One => records.push(document, context.memory)?,
-        },
+        Value::Array(_) | Value::Object(_) => records.push_rows(document, context.memory)?,
         _ => return Err("it contains no records".into()),
     }
     if records.columns.is_empty() {
@@ -360,6 +380,21 @@ impl Records {
         }
         self.add(record, "", 0, memory)?;
         self.end_row(memory)
+    }
+
+    /// The rows of a document. Lists for columns become one row.
+    fn push_rows(&mut self, document: &Value, memory: &mut MemoryBudget) -> Result<(), TableError> {
+        match document {
+            Value::Array(items) => items.iter().try_for_each(|item| self.push(item, memory)),
+            Value::Object(members) => match Shape::of(members) {
+                Shape::ByKey(mut rows) => {
+                    rows.drain(..).try_for_each(|(key, row)| self.push_with_key(key, row, memory))
+                }
+                Shape::List(items) => items.iter().try_for_each(|item| self.push(item, memory)),
+                Shape::Columns(_) | Shape::One => self.push(document, memory),
+            },
+            _ => Ok(()),
+        }
     }
 
     fn push_with_key(

@@ -166,6 +166,65 @@ fn the_columns_of_a_single_joint_are_its_state_and_its_command() {
     }
 }
 
+/// WorkVisual's trace of a drive.
+#[test]
+fn german_names_of_a_single_joint_are_its_state_and_its_command() {
+    let names = [
+        "Zeit[sec]",
+        "Sollposition[°]",
+        "Istposition[°]",
+        "Positionsschleppfehler[°]",
+        "Sollgeschwindigkeit[°/s]",
+        "Istgeschwindigkeit[°/s]",
+        "Geschwindigkeitsdifferenz[°/s]",
+        "Sollbeschleunigung[°/s*s]",
+        "Istbeschleunigung[°/s*s]",
+        "Beschleunigungsdifferenz[°/s*s]",
+    ];
+    let text =
+        csv(&names, 40, |row, at| if at == 0 { 0.004 * row as f64 } else { (row + at) as f64 });
+    let log = plain(text.as_bytes());
+    for (name, position, velocity) in [("ist_position", 2.0, 5.0), ("soll_position", 1.0, 4.0)] {
+        let Some(Columns::Joints(read)) = &topic(&log, name).columns else { panic!("{name}") };
+        let [joint] = read.joints.as_slice() else { panic!("{name}") };
+        let logged = [position, velocity].map(f64::to_radians);
+        assert_eq!([joint.position[0], joint.velocity[0]], logged, "{name}");
+    }
+}
+
+#[test]
+fn joints_of_hands_are_not_those_of_an_arm() {
+    let parts = ["left", "right", "left_hand", "right_hand"];
+    let names = parts.map(|part| {
+        let count = if part.ends_with("hand") { 10 } else { 7 };
+        (1..=count).map(|joint| format!("{part}.joint_{joint}.pos")).collect::<Vec<_>>()
+    });
+    let names = names.concat();
+    let names: Vec<&str> =
+        std::iter::once("time").chain(names.iter().map(String::as_str)).collect();
+    let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+    let is_of_joints = |topic: &&Topic| matches!(topic.columns, Some(Columns::Joints(_)));
+    let joints: Vec<&str> =
+        log.topics.iter().filter(is_of_joints).map(|topic| topic.name.as_str()).collect();
+    assert_eq!(joints.len(), 2, "{joints:?}");
+}
+
+#[test]
+fn a_count_that_most_rows_repeat_is_not_a_clock() {
+    let row = |row: usize| -> String {
+        let sines: Vec<String> =
+            (1..20).map(|k| format!("{:.4}", (k as f64 * row as f64 * 0.07).sin())).collect();
+        format!("{},{}\n", 1 + row / 14, sines.join(","))
+    };
+    let error = refusal((0..400).map(row).collect::<String>().as_bytes());
+    assert!(error.contains("no column holds times"), "{error}");
+    // Nor is one that is named as a count of messages.
+    let names = ["id", "q1", "q2", "q3", "q4"];
+    let text =
+        csv(&names, 40, |row, at| if at == 0 { 2.0 * row as f64 } else { (row + at) as f64 % 3.0 });
+    assert!(refusal(text.as_bytes()).contains("no column holds times"));
+}
+
 /// Serial numbers of dates, as a spreadsheet stores them without a date format, and MATLAB's `datenum`.
 #[test]
 fn dates_in_days_are_seconds_since_1970() {

@@ -46,7 +46,8 @@ impl Assembly<'_> {
             return Err(RunError::NoJointStates {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
                 question: info.question.clone(),
-                is_of_tables: self.streams.iter().any(|stream| !stream.topic.starts_with('/')),
+                is_of_tables: self.streams.iter().any(|stream| stream.is_from_table),
+                is_robot_named: !info.given.is_empty(),
             });
         }
         let joints = joints_in(&topics);

@@ -14,7 +14,8 @@ use super::super::namespace::NamespaceMatch;
 use super::super::not_audited::{NotAudited, NotAuditedReason};
 use super::super::poses::{self, StampedTrack};
 use super::super::role::{
-    FrameKind, PoseTopic, Role, RoleDecision, array_role, pose_role, role_outside_arm,
+    FrameKind, PoseTopic, Role, RoleDecision, array_role, is_driver_frame, pose_role,
+    role_outside_arm,
 };
 use super::super::shared_stream::{CandidateArm, SharedStream};
 use super::super::source_kind::{PoseNames, PoseSourceKind, classify_source};
@@ -311,6 +312,12 @@ impl Assembly<'_> {
             is_declared,
         });
         match verdict {
+            (Role::Candidate { .. }, _)
+                if self.is_transform(stream) && is_driver_frame(&stream.child_frame_id) =>
+            {
+                let reason = "the frame that UR drivers use for the tool pose".to_owned();
+                (Role::Candidate { presumed: true }, reason)
+            }
             // Many transforms start at the base, so this frame alone does not make a tool pose.
             (Role::Candidate { .. }, _) if self.is_transform(stream) => (
                 Role::Candidate { presumed: false },

@@ -50,6 +50,10 @@ impl RowPeriod {
         const MAX_SINGLE_DEVIATION: f64 = 0.5;
         const MAX_REGULAR_DEVIATION: f64 = 0.25;
         const MIN_REGULAR_SHARE: f64 = 0.6;
+        /// Long intervals with so large a share of all are lost rows only if most are near multiples of the period. Of
+        /// the intervals between events, half are by chance.
+        const MIN_LONG_SHARE: f64 = 0.2;
+        const MIN_LONG_REGULAR_SHARE: f64 = 0.75;
         /// Block length with whole bursts of 2, 3, 4, 6 or 12 rows.
         const BLOCK_ROWS: usize = 12;
         /// Ratio of median to mean interval for evenly spaced rows; two in five may be lost.
@@ -83,7 +87,12 @@ impl RowPeriod {
                 || (periods - periods.round().max(1.0)).abs() < MAX_REGULAR_DEVIATION
         };
         let regular = intervals().filter(is_close).count();
-        let is_regular = regular as f64 > MIN_REGULAR_SHARE * count as f64;
+        let long = || intervals().filter(|dt| *dt > (1.0 + MAX_SINGLE_DEVIATION) * period_s);
+        let (long_count, long_regular) =
+            (long().count() as f64, long().filter(is_close).count() as f64);
+        let are_events = long_count >= MIN_LONG_SHARE * count as f64
+            && long_regular < MIN_LONG_REGULAR_SHARE * long_count;
+        let is_regular = regular as f64 > MIN_REGULAR_SHARE * count as f64 && !are_events;
         Some(Self { period_s, is_regular, max_periods: max_jitter_periods(times, period_s) })
     }
 }

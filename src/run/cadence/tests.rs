@@ -62,6 +62,19 @@ fn a_steady_stream_has_its_period_and_nothing_else() {
     }
 }
 
+/// Two seconds for each step of a task and an uneven time for its motion, in whole seconds.
+#[test]
+fn events_have_no_period() {
+    let motion_s = |event: i64| [7, 8, 5, 8, 7, 9, 4, 9, 5, 6][(event % 10) as usize];
+    let start_s = |event: i64| -> i64 { (0..event).map(|before| 4 + motion_s(before)).sum() };
+    let at_s = |row: i64| start_s(row / 3) + 2 * (row % 3);
+    let found = cadence(&poses(|row| Some((1000 * at_s(row), 1000 * at_s(row)))));
+    assert!(!found.is_regular, "{found:?}");
+    // A sender that loses as many rows.
+    let lost = |row: i64| [1, 3, 5, 6].contains(&(row % 9)).then_some((2000 * row, 2000 * row));
+    assert!(cadence(&poses(lost)).is_regular);
+}
+
 #[test]
 fn a_gap_states_whether_the_arm_moves() {
     let silent =

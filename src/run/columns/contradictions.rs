@@ -1,9 +1,8 @@
 //! Table columns whose names contradict their numbers.
 
-use crate::diagnosis::NumericTable;
 use crate::log::{Log, Note};
 use crate::run::joint_order::TABLE;
-use crate::stream::{ArrayColumns, Columns, JointColumns};
+use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns};
 
 /// Finds joint topics that hold a unit quaternion in every row, as a pose does. Makes them unnamed numbers
 /// and reports the contradiction.
@@ -28,15 +27,31 @@ pub(super) fn report_contradictions(log: &mut Log) {
     }
 }
 
+/// Index of the first of four numbers whose norm is 1 in each row, while two or more of them move: a rotation about one
+/// axis moves two.
 fn quaternion_in(joints: &JointColumns) -> Option<usize> {
-    let count = joints.joints.len();
-    if count < 7 || joints.converted_from_degrees {
+    const MAX_NORM_DEVIATION: f64 = 1e-3;
+    const MIN_SPAN: f64 = 0.05;
+    const MIN_MOVING: usize = 2;
+    if joints.joints.len() < 7 || joints.converted_from_degrees {
         return None;
     }
-    let columns: Vec<Vec<f64>> = joints.joints.iter().map(|joint| joint.position.clone()).collect();
-    let rows = (0..joints.times.len()).map(|row| row as f64).collect();
-    let sheet = NumericTable::new(rows, columns, vec![0; count]);
-    [3, 0].into_iter().find(|&at| sheet.is_quaternion([at, at + 1, at + 2, at + 3]))
+    let moves = |joint: &&JointColumn| {
+        let (least, most) = joint
+            .position
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| {
+                (least.min(*value), most.max(*value))
+            });
+        most - least > MIN_SPAN
+    };
+    [3, 0].into_iter().find(|&at| {
+        let four = &joints.joints[at..at + 4];
+        let norm_squared =
+            |row: usize| four.iter().map(|joint| joint.position[row].powi(2)).sum::<f64>();
+        (0..joints.times.len()).all(|row| (norm_squared(row) - 1.0).abs() < MAX_NORM_DEVIATION)
+            && four.iter().filter(moves).count() >= MIN_MOVING
+    })
 }
 
 fn to_unnamed(joints: &JointColumns) -> ArrayColumns {

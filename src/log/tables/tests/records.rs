@@ -53,6 +53,39 @@ fn a_cut_line_of_json_is_a_loss() {
 }
 
 #[test]
+fn json_documents_one_after_another_are_rows_of_one_table() {
+    let record = |row: usize| json!({"t": 0.01 * row as f64, "joint_positions": q(row)});
+    let pretty =
+        |document: &serde_json::Value| serde_json::to_string_pretty(document).expect("JSON");
+    let one_each: String = (0..ROWS).map(|row| pretty(&record(row))).collect();
+    let half = |from: usize| json!((from..from + ROWS / 2).map(record).collect::<Vec<_>>());
+    let lists = format!("{}\n{}", pretty(&half(0)), pretty(&half(ROWS / 2)));
+    for document in [&one_each, &lists] {
+        assert_has_joints(document.as_bytes(), "joint_positions", "json");
+    }
+    let cut = one_each + "{\n  \"t\": 0.";
+    let log = plain(cut.as_bytes());
+    assert_eq!(joints(&log, "joint_positions").1.len(), ROWS);
+    assert!(log.losses[0].what.contains("after 40 JSON documents"), "{:?}", log.losses);
+}
+
+#[test]
+fn positions_with_as_many_velocities_are_joints() {
+    let record = |row: usize, width: usize| {
+        let (positions, velocities) = (&q(row)[..width], vec![0.1 * row as f64; width]);
+        json!({"time": 0.01 * row as f64, "positions": positions, "velocities": velocities})
+            .to_string()
+            + "\n"
+    };
+    let log = plain((0..ROWS).map(|row| record(row, 6)).collect::<String>().as_bytes());
+    let Some(Columns::Joints(own)) = &topic(&log, "positions").columns else { panic!() };
+    assert_eq!((own.joints.len(), own.joints[2].velocity[10]), (6, 1.0));
+    // Of a point, they are not.
+    let log = plain((0..ROWS).map(|row| record(row, 3)).collect::<String>().as_bytes());
+    assert!(!matches!(topic(&log, "positions").columns, Some(Columns::Joints(_))));
+}
+
+#[test]
 fn stamps_of_messages_keep_every_nanosecond() {
     let line = |row: usize| {
         let stamp = json!({"sec": 1_700_000_000, "nanosec": 123_456_789 + row});
