@@ -412,7 +412,7 @@ fn candidate_causes(
     for (s, decoded) in decoded.iter().enumerate() {
         if decoded.moves {
             always.push(Cause::Latency(s));
-            optional.push(Cause::Skew(s));
+            optional.extend((!decoded.shares_clock).then_some(Cause::Skew(s)));
         }
         if !decoded.observations.reference_known {
             always.push(Cause::Reference(s));

@@ -105,11 +105,14 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
     if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
         (encoding, result) = (Err(NotObservable::NotExcited), diagnose_as(&as_logged));
     }
-    if encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+    let or_standard = |result: EncodingResult| {
         let corrected = CorrectedJoints::new(joints, &as_logged, &is_prismatic);
-        result = result.or_standard(&position_encodings, |standard| {
+        result.or_standard(&position_encodings, |standard| {
             diagnose(joints, &corrected, streams, standard, true)
-        });
+        })
+    };
+    if encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+        result = or_standard(result);
     }
     let is_far_from_fk = |result: &EncodingResult| {
         !result.streams.is_empty() && result.streams.iter().all(PoseDiagnosis::is_far_from_fk)
@@ -174,6 +177,12 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
                 (encoding, result) = (Ok(other), by_other);
             }
         }
+    }
+    // Where joints hardly move, other encodings fit as well as calibrations.
+    if encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged)
+        && unchanged.is_plausible_for(streams)
+    {
+        (encoding, result) = (Ok(JointEncoding::default()), or_standard(diagnose_as(&as_logged)));
     }
     // If no stream follows FK, the encoding is undetermined.
     if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
@@ -263,12 +272,15 @@ impl EncodingResult {
 
     /// All streams differ from FK by no more than calibrations do, without any correction.
     fn is_near_as_logged(&self) -> bool {
-        let is_near = |residual: &StreamResidual| {
-            residual.before_m < MAX_TIP_CHANGE_M && residual.before_rad < MAX_TIP_CHANGE_RAD
+        self.streams.iter().all(is_near_as_logged)
+    }
+
+    /// Whether each stream in a known frame is near FK as logged, and each other one is explained.
+    fn is_plausible_for(&self, streams: &[PoseStream]) -> bool {
+        let is_plausible = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
+            if stream.reference_known { is_near_as_logged(found) } else { !is_unexplained(found) }
         };
-        self.streams
-            .iter()
-            .all(|stream| stream.encoding.is_ok() && stream.residual.as_ref().is_ok_and(is_near))
+        self.streams.iter().zip(streams).all(is_plausible)
     }
 
     /// Of joint zeros, frame errors and rotation conventions.
@@ -350,12 +362,24 @@ impl EncodingResult {
     fn largest_unexplained(&self) -> Option<(usize, ResidualSize)> {
         let residuals = self.streams.iter().map(excess_residual).enumerate();
         let worst = residuals.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
-        let ResidualSize { m, rad } = worst.1;
-        let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
-        // Links do not explain rotations that do not follow the arm.
-        let is_nominal = self.streams[worst.0].is_nominal && rad != Some(UNREAD_RAD);
-        (is_open && !is_nominal).then_some(worst)
+        is_unexplained(&self.streams[worst.0]).then_some(worst)
     }
+}
+
+/// Whether it differs from FK by no more than a calibration does, without any correction.
+fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
+    let is_near = |residual: &StreamResidual| {
+        residual.before_m < MAX_TIP_CHANGE_M && residual.before_rad < MAX_TIP_CHANGE_RAD
+    };
+    stream.encoding.is_ok() && stream.residual.as_ref().is_ok_and(is_near)
+}
+
+/// Whether neither causes nor links explain its excess residual.
+fn is_unexplained(stream: &PoseDiagnosis) -> bool {
+    let ResidualSize { m, rad } = excess_residual(stream);
+    let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
+    // Links do not explain rotations that do not follow the arm.
+    is_open && !(stream.is_nominal && rad != Some(UNREAD_RAD))
 }
 
 /// Whether rotations are in another encoding than the logged one.

@@ -1,6 +1,6 @@
 //! Identifies columns that contain the rotation of the tool.
 
-use super::{ColumnMapping, MIN_MOVING_JOINTS, NumericTable};
+use super::{ColumnMapping, NumericTable};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
 
@@ -67,14 +67,5 @@ impl NumericTable {
             }
             _ => false,
         })
-    }
-
-    /// Whether each row is a unit quaternion, with three columns moving.
-    pub fn is_quaternion(&self, columns: [usize; 4]) -> bool {
-        let norm = |row: usize| {
-            columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()
-        };
-        (0..self.t_s.len()).all(|row| (norm(row) - 1.0).abs() < 1e-3)
-            && columns.iter().filter(|column| self.moves(**column)).count() >= MIN_MOVING_JOINTS
     }
 }

@@ -43,6 +43,8 @@ pub(crate) struct DecodedStream<'a> {
     rotated_frames: u8,
     pub peaks: Vec<LagPeak>,
     pub moves: bool,
+    /// Whether it has the stamps of the joint states, so that its clock cannot have a skew against theirs.
+    pub shares_clock: bool,
     pub last_turn: LastTurn,
 }
 
@@ -200,7 +202,18 @@ pub(crate) fn decode_stream<'a>(
         rotated_frames: frames,
         peaks,
         moves,
+        shares_clock: share_stamps(&joints.t_s, &track.t_s),
     })
+}
+
+/// Whether nearly all stamps of the stream are stamps of the joint states.
+fn share_stamps(joints_s: &[f64], stream_s: &[f64]) -> bool {
+    const MIN_SHARE: f64 = 0.9;
+    let is_common = |t_s: &&f64| {
+        let at = joints_s.partition_point(|own| own < *t_s);
+        joints_s.get(at) == Some(*t_s)
+    };
+    stream_s.iter().filter(is_common).count() as f64 > MIN_SHARE * stream_s.len() as f64
 }
 
 /// Whether orientations are set: they change, or FK's do not.

@@ -55,6 +55,14 @@ impl JointEncoding {
             && self.couplings.is_empty()
     }
 
+    /// Whether it differs by more than scales near 1 and couplings.
+    pub(crate) fn is_far_from_logged(&self) -> bool {
+        /// Usual gear ratios are larger.
+        const MAX_SCALE_ERROR: f64 = 0.1;
+        let is_far = |error: &JointUnitError| (error.factor - 1.0).abs() > MAX_SCALE_ERROR;
+        self.degrees.is_some() || self.permutation.is_some() || self.unit_errors.iter().any(is_far)
+    }
+
     /// Same units, order and couplings, whatever the amounts.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         let parts = |encoding: &Self| {
