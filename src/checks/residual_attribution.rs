@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, SubjectResult, find};
 use crate::diagnosis::{
-    ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, NotObservable, PartError,
-    PoseDiagnosis, ResidualCheck, StreamResidual,
+    ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, JointCompliance,
+    NotObservable, PartError, PoseDiagnosis, ResidualCheck, StreamResidual,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
@@ -179,7 +179,10 @@ pub(super) fn attribute_residual(
         (true, false) => proof.joints_corrected.as_ref().or_else(as_logged),
         (false, false) => as_logged(),
     };
-    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| diagnosis.is_nominal)
+    // Links can imitate an eccentric gear, by deviations that are too large for them.
+    let is_eccentric = arm.diagnosis.compliance.iter().any(JointCompliance::is_eccentric);
+    let is_nominal = diagnosis.is_nominal && !is_eccentric;
+    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| is_nominal)
         && (explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
             || explained.angle.as_ref().is_some_and(|it| it.whole.rms > MIN_NOMINAL_RESIDUAL_RAD))
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none_or(

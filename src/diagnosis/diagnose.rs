@@ -97,6 +97,7 @@ fn diagnose_uniform(run: &ArmRun) -> ArmDiagnosis {
     let streams = with_tracks(run.streams, &tracks);
     let run = ArmRun { streams: &streams, ..*run };
     let mut diagnosis = diagnose_with_varying_causes(&run, &diagnosis).unwrap_or(diagnosis);
+    run.restore_eccentricity(&mut diagnosis);
     for (stream, profile) in diagnosis.streams.iter_mut().zip(profiles) {
         stream.latency_profile = profile;
     }
@@ -127,13 +128,6 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
         diagnose_with_cause_changes(run, constant).filter(|it| !is_far || is_explained(it));
     let by_compliance =
         gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant, is_distinct));
-    let are_steps_enough = by_steps.as_ref().is_some_and(is_explained);
-    // Eccentric gears can imitate a change, and link deviations can imitate eccentric gears.
-    let is_eccentric =
-        |it: &ArmDiagnosis| it.joints.compliance.iter().any(JointCompliance::is_eccentric);
-    let by_compliance = by_compliance.filter(|it| !are_steps_enough || !is_eccentric(it));
-    // A part of the effect of an eccentric gear is a scale.
-    let by_gain = by_gain.filter(|_| !by_compliance.as_ref().is_some_and(is_eccentric));
     let all: Vec<ArmDiagnosis> = by_compliance.into_iter().chain(by_steps).chain(by_gain).collect();
     // Link deviations hide the difference between those they do not explain.
     let is_any_explained = all.iter().any(is_explained);

@@ -165,9 +165,6 @@ impl ArmRun<'_> {
         if log_bayes_factor(&after, diagnosis) <= search.selection_price() {
             return None;
         }
-        if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
-            self.restore_eccentricity(&mut after);
-        }
         // An error of the assumed link masses looks like a zero offset.
         for compliance in after.joints.compliance.iter().filter(|compliance| compliance.is_sag()) {
             let offset = after.joints.offsets.get_mut(compliance.column);
@@ -308,8 +305,11 @@ impl ArmRun<'_> {
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 
-    /// No rule reports eccentricity, so it remains in the residual.
-    fn restore_eccentricity(&self, after: &mut ArmDiagnosis) {
+    /// Returns eccentricity to the residual, because no rule reports it.
+    pub(super) fn restore_eccentricity(&self, after: &mut ArmDiagnosis) {
+        if !after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
+            return;
+        }
         let named =
             after.joints.without_eccentricity().corrected_joints(self.joints, self.is_prismatic);
         let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);
