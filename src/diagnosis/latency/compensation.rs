@@ -27,11 +27,11 @@ pub(crate) struct CompensatedRun {
 impl CompensatedRun {
     /// Compensates a variable latency, so its effects are not attributed to another cause.
     pub fn new(run: &ArmRun) -> Self {
-        let coarse = CoarselyCompensated::likeliest(run);
+        let coarse = CoarselyCompensated::likeliest(run).confirmed(run);
         // A profile is accurate once its effects on other causes are removed.
         let CoarselyCompensated { changes, diagnosis } = match coarse.with_profiles() {
             changes if changes == coarse.changes => coarse,
-            changes => CoarselyCompensated::new(run, changes),
+            changes => CoarselyCompensated::new(run, changes).confirmed(run),
         };
         let steps = changes.iter().map(|it| it.as_ref().and_then(CoarseLatencyChange::steps));
         let steps: Vec<Option<&LatencySteps>> = steps.collect();
@@ -101,16 +101,20 @@ impl CoarselyCompensated {
                 likeliest = likeliest.or(Self::new(run, changes), run);
             }
         }
-        // If the stream without its ramp has a constant latency, the speeds differ for another reason.
+        likeliest
+    }
+
+    /// Without ramps of streams whose latency is constant: their speeds differ for another reason.
+    fn confirmed(self, run: &ArmRun) -> Self {
         let is_confirmed = |(change, found): (&Option<CoarseLatencyChange>, &PoseDiagnosis)| {
             change.as_ref().and_then(CoarseLatencyChange::ramp).is_none()
                 || found.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
         };
-        let both = likeliest.changes.iter().zip(&likeliest.diagnosis.streams);
+        let both = self.changes.iter().zip(&self.diagnosis.streams);
         let confirmed: Vec<Option<CoarseLatencyChange>> =
             both.map(|both| both.0.clone().filter(|_| is_confirmed(both))).collect();
-        match confirmed == likeliest.changes {
-            true => likeliest,
+        match confirmed == self.changes {
+            true => self,
             false => Self::new(run, confirmed),
         }
     }
@@ -255,6 +259,9 @@ pub fn diagnose_imu_with_latency_compensation(
         change = better;
     }
     let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
+    if steps.is_none() && change.is_some() && unsteady(&diagnosis).is_none() {
+        diagnosis = diagnose_with(&None);
+    }
     let profile = unsteady(&diagnosis);
     // As for poses, only steps are removed.
     let step_profile = steps.map(|steps| steps.profile(&diagnosis.latency_profile));

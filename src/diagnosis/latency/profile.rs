@@ -2,7 +2,8 @@
 //!
 //! An additional latency L shifts the corrected stream against FK by −L times its velocity. In each window, position
 //! and rotation residuals are fitted jointly by `c − L·v`. The constant `c` absorbs model error, which changes slowly
-//! with the configuration. The likeliest shape of L wins ([`shapes`]).
+//! with the configuration. The likeliest shape of L wins ([`shapes`]). Its effect is nonlinear, so FK is evaluated again at
+//! the compensated times, and the shape is fitted to the remaining residuals.
 
 mod shapes;
 
