@@ -338,3 +338,19 @@ fn choose_branches(
     (observations.t_s, observations.xyz, observations.rotation) =
         (decoded_t_s, decoded_xyz, decoded_rotation);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_are_shared_by_columns_of_one_table_only() {
+        let joints_s: Vec<f64> = (0..100).map(|row| 0.008 * f64::from(row)).collect();
+        let every_second: Vec<f64> = joints_s.iter().copied().step_by(2).collect();
+        let other_clock: Vec<f64> = joints_s.iter().map(|t_s| 1.0001 * t_s + 0.003).collect();
+        assert!(share_stamps(&joints_s, &joints_s));
+        assert!(share_stamps(&joints_s, &every_second));
+        assert!(!share_stamps(&every_second, &joints_s));
+        assert!(!share_stamps(&joints_s, &other_clock));
+    }
+}

@@ -116,9 +116,9 @@ fn read_concatenated(
     text: &[u8],
     context: &mut ReadContext,
 ) -> Result<Option<Records>, TableError> {
-    let mut documents = serde_json::Deserializer::from_slice(text).into_iter::<Value>();
+    let documents = serde_json::Deserializer::from_slice(text).into_iter::<Value>();
     let (mut records, mut count) = (Records::default(), 0);
-    while let Some(document) = documents.next() {
+    for document in documents {
         match document {
             Ok(document) => {
                 count += 1;
