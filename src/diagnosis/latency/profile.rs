@@ -64,7 +64,7 @@ pub struct LatencyProfile {
     pub is_unsteady: bool,
     /// Kind of profile.
     pub shape: LatencyShape,
-    /// Skew beside a latency that grows with the speed. The levels of other kinds contain it.
+    /// Clock skew in addition to a latency that grows with the speed. Other kinds include it in their levels.
     pub skew: f64,
     /// In time order. Empty for other kinds.
     pub steps: Vec<LatencyStep>,
@@ -238,7 +238,7 @@ pub(crate) fn latency_profile(
     fit_profile(&samples, 2, skew, removed_ramp, samples_at)
 }
 
-/// Same from residuals of this many kinds. `samples_at` returns them with an additional latency compensated.
+/// The same for residuals of this many kinds. `samples_at` compensates an additional latency.
 pub(crate) fn fit_profile(
     latency_samples: &[LatencySample],
     kinds: usize,
@@ -351,8 +351,8 @@ fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool 
     explains_excess(excess(without), excess(with))
 }
 
-/// Whether the excess residual falls to less than half, and neither that of positions nor that of rotations increases. A model
-/// error may imitate latency in one of them, not in both. The excess is a square, relative to that of the noise.
+/// Whether the excess residual falls to less than half, and increases neither for positions nor for rotations. A model error
+/// may imitate latency in one kind, not in both. The excess is a squared residual relative to the squared noise.
 pub(crate) fn explains_excess(before: [f64; 2], after: [f64; 2]) -> bool {
     const MAX_RATIO: f64 = 0.5;
     /// Relative to the noise.
