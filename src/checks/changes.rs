@@ -7,7 +7,7 @@ use crate::checks::decision::{
 };
 use crate::checks::frames::{pose_json, show};
 use crate::checks::{Case, SubjectResult};
-use crate::diagnosis::{ChangePoint, EncodingSpans, FrameChange, Measured, ScalarChange};
+use crate::diagnosis::{ChangePoint, Course, EncodingSpans, FrameChange, Measured, ScalarChange};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
     Cause, Change as Changes, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject,
@@ -44,18 +44,18 @@ struct ChangeReport {
     effect_m: f64,
     /// Where the change acts: tip or body.
     at_which: &'static str,
-    /// Change per minute, as text, if it is gradual.
-    rate: Option<String>,
+    /// Course of a gradual change, as text.
+    course: Option<String>,
     all: Vec<Value>,
 }
 
 impl ChangeReport {
     fn fault(self, severity: Severity) -> Fault {
-        let Self { at, from, to, by, name, title, effect_m, at_which, rate, all } = self;
+        let Self { at, from, to, by, name, title, effect_m, at_which, course, all } = self;
         let effect = Unit::Metre.show(effect_m);
-        let (message, effect, fix) = match rate {
-            Some(rate) => (
-                format!("drifts by {by} over the run, {rate}"),
+        let (message, effect, fix) = match course {
+            Some(course) => (
+                format!("drifts by {by} {course}"),
                 format!("{effect} at the {at_which} at the end"),
                 format!("find out why the {name} drifts, or estimate it again at short intervals"),
             ),
@@ -102,6 +102,26 @@ fn change_stamps<V, S>(case: &Case, change: &ChangePoint<V, S>) -> (Stamp, [Stam
     (at(0.0), [at(-change.within_s), at(change.within_s)])
 }
 
+/// `None` for a step. `rate` shows the change of some minutes.
+fn gradual_course<V, S>(
+    case: &Case,
+    change: &ChangePoint<V, S>,
+    rate: impl Fn(f64) -> String,
+) -> Option<String> {
+    let (_, within) = change_stamps(case, change);
+    let [from, to] = within.map(|at| case.evidence.moment(at));
+    match change.course {
+        Course::Step => None,
+        Course::Ramp => {
+            let rate = rate(30.0 / change.within_s);
+            Some(format!("from {from} to {to}, {rate} per minute"))
+        }
+        Course::Settling(tau_s) => {
+            Some(format!("from {from} to {to}, settling with a time constant of {tau_s:.1} s"))
+        }
+    }
+}
+
 /// `None` if the frame is constant.
 pub fn judge_frame_change(
     case: &Case,
@@ -139,26 +159,26 @@ pub fn judge_frame_change(
     let listed = |change: &FrameChange| {
         json!({
             "at_ns": change_stamps(case, change).0.to_string(),
-            "is_gradual": change.is_gradual,
+            "is_gradual": change.is_gradual(),
+            "time_constant_s": change.time_constant_s(),
             "from": pose_json(&change.from),
             "to": pose_json(&change.to),
         })
     };
-    let per_minute = |measured: &Measured| measured.scaled(30.0 / change.within_s);
-    let rate = || {
-        let length = Unit::Metre.show_measured(&per_minute(&change.size.translation_m));
-        let angle = Unit::Radian.show_measured(&per_minute(&change.size.rotation_rad));
-        format!("{length} and {angle} per minute")
+    let rate = |per_minute: f64| {
+        let length = Unit::Metre.show_measured(&change.size.translation_m.scaled(per_minute));
+        let angle = Unit::Radian.show_measured(&change.size.rotation_rad.scaled(per_minute));
+        format!("{length} and {angle}")
     };
-    let title = match (name, change.is_gradual) {
-        ("tool frame", false) => "tool frame changes mid-run",
-        ("tool frame", true) => "tool frame drifts",
-        (_, false) => "reference frame changes mid-run",
-        (_, true) => "reference frame drifts",
+    let title = match (name, change.course) {
+        ("tool frame", Course::Step) => "tool frame changes mid-run",
+        ("tool frame", _) => "tool frame drifts",
+        (_, Course::Step) => "reference frame changes mid-run",
+        (_, _) => "reference frame drifts",
     };
     let report = ChangeReport {
         at_which: arm.arm_or_body("tip", "body"),
-        rate: change.is_gradual.then(rate),
+        course: gradual_course(case, change, rate),
         at: format!("at {}", case.evidence.moment(at)),
         from: size(&change.from),
         to: size(&change.to),
@@ -175,7 +195,7 @@ pub fn judge_frame_change(
 pub fn judge_scalar_change(
     case: &Case,
     name: &'static str,
-    title: &'static str,
+    [title, title_of_drift]: [&'static str; 2],
     changes: &[&ScalarChange],
     threshold: &Threshold,
     effect_m: impl Fn(&ScalarChange) -> f64,
@@ -191,18 +211,25 @@ pub fn judge_scalar_change(
     });
     let listed = |change: &ScalarChange| {
         let (at, _) = change_stamps(case, change);
-        json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })
+        json!({
+            "at_ns": at.to_string(),
+            "is_gradual": change.is_gradual(),
+            "time_constant_s": change.time_constant_s(),
+            "from": change.from,
+            "to": change.to,
+        })
     };
+    let rate = |per_minute: f64| unit.show_signed(&change.size.scaled(per_minute));
     let report = ChangeReport {
         at_which: "tip",
-        rate: None,
+        course: gradual_course(case, change, rate),
         at: format!("at {}", case.evidence.moment(at)),
         from: show_if_significant(unit, change.from, &change.size)
             .unwrap_or_else(|| "0".to_owned()),
         to: show_if_significant(unit, change.to, &change.size).unwrap_or_else(|| "0".to_owned()),
         by: unit.show_signed(&change.size),
         name,
-        title,
+        title: if change.is_gradual() { title_of_drift } else { title },
         effect_m: effect_m(change),
         all: changes.iter().map(|change| listed(change)).collect(),
     };

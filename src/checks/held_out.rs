@@ -87,7 +87,7 @@ fn as_json(residual: &HeldOutResidual) -> Value {
 mod tests {
     use super::*;
     use crate::checks::testing::{as_case, clean_run, evaluate_rule, precise};
-    use crate::diagnosis::ScalarChange;
+    use crate::diagnosis::{Course, ScalarChange};
 
     #[test]
     fn a_joint_zero_shows_the_error_on_held_out_samples() {
@@ -112,7 +112,7 @@ mod tests {
         run.robots[0].poses[0].diagnosis.radial_scale_changes = vec![ScalarChange {
             at_s: 5.0,
             within_s: 0.1,
-            is_gradual: false,
+            course: Course::Step,
             from: 0.0,
             to: 0.01,
             size: precise(0.01),

@@ -34,7 +34,7 @@
 //!    (`arm::beside_links`). `frames::with_links` estimates the frames of an arm that
 //!    deviates. A variable latency is compensated; steps 2 to 6 are repeated.
 //! 7. `compliance::gains` finds a scale or a coupling of a joint. If it does not explain the residual, `changes` finds
-//!    steps of frames, joint zeros and radial scales, and drifts of frames, by a score test beside link
+//!    steps, ramps and settling of frames, joint zeros and radial scales, by a score test beside link
 //!    deviations. `compliance` competes with both. Each corrects the run and repeats steps 4 to 6. The likeliest diagnosis
 //!    wins (`selection::evidence`). If a residual remains, `changes` looks for segments with other encodings, encodes them
 //!    like the longest one, and repeats steps 1 to 7, or for segments in which a frame or a joint zero is turned by more
@@ -117,7 +117,9 @@ pub use calibration::{
     FkUncertainty, FrameFreedom, LinkParameter, PointDistance, StreamCalibration,
     UndeterminedDirection, calibrate_arm,
 };
-pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
+pub use changes::{
+    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
+};
 pub use columns::{
     ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
     NumericTable,

@@ -55,7 +55,7 @@ impl ComplianceRule {
         let change = changes::judge_scalar_change(
             case,
             self.name,
-            "joint compliance changes mid-run",
+            ["joint compliance changes mid-run", "joint compliance drifts"],
             &Vec::from_iter(&compliance.change),
             &threshold,
             |change| tip_effect(arm, compliance.column, change.size.value).0,

@@ -125,7 +125,7 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         let (outcome, estimate) = changes::judge_scalar_change(
             case,
             "joint scale",
-            "joint scale changes mid-run",
+            ["joint scale changes mid-run", "joint scale drifts"],
             &arm.diagnosis.factor_changes(column),
             &THRESHOLD,
             |change| lever_m * change.size.value.abs(),

@@ -33,7 +33,8 @@ rule! {
     /// - `source_kind`: source of the poses (`controller`, `external`, `unknown`); `meaning`: what the offset
     ///   then implies.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
-    ///   `change_ns`).
+    ///   `change_ns`). `is_gradual` marks a drift: at a constant rate from one time to another, or with
+    ///   `time_constant_s` as `1 − exp(−t/τ)` over the run (warm-up).
     ///
     /// If an inaccurate nominal model could explain several causes or the residual, all link deviations are
     /// estimated too, each with its own standard deviation. A zero must then make the log fifty times as
@@ -104,7 +105,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     let change = changes::judge_scalar_change(
         case,
         "joint offset",
-        "joint zero changes mid-run",
+        ["joint zero changes mid-run", "joint zero drifts"],
         &arm.diagnosis.zero_changes(joint),
         &threshold,
         |change| offset.lever_m * change.size.value.abs(),

@@ -21,8 +21,9 @@ rule! {
     ///   distance, `rotation` its angle; all six components are tested jointly.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
     ///   `change_ns`).
-    /// - In `changes`, `is_gradual` marks a drift at a constant rate; the value is then its size over the run, at the
-    ///   middle of the motion.
+    /// - In `changes`, `is_gradual` marks a drift: at a constant rate from one time to another, or with
+    ///   `time_constant_s` as `1 − exp(−t/τ)` over the run. The value is then its whole size, at the middle of the
+    ///   motion.
     /// - `from`, `to`, `change_ns` also if `frame_id` changes during the run and the poses are right under
     ///   only one of the names.
     ///

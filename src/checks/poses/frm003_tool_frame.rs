@@ -19,7 +19,8 @@ rule! {
     /// - `pose`: `tip_from_stream`, the stream's point in the tip frame. The value is its distance,
     ///   `rotation` its angle; all six components are tested jointly.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
-    ///   `change_ns`). `is_gradual` marks a drift at a constant rate; the value is then its size over the run.
+    ///   `change_ns`). `is_gradual` marks a drift: at a constant rate from one time to another, or with
+    ///   `time_constant_s` as `1 − exp(−t/τ)` over the run. The value is then its whole size.
     ///
     /// The poses may alternate between rigid bodies on one tool (a tracker confuses markers, or the TCP is
     /// switched). Each but the most frequent one has a finding with its offset from that (`pose` is

@@ -57,7 +57,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let change = changes::judge_scalar_change(
             case,
             RADIAL_SCALE.name,
-            "growth with reach changes mid-run",
+            ["growth with reach changes mid-run", "growth with reach drifts"],
             &Vec::from_iter(&stream.diagnosis.radial_scale_changes),
             &threshold,
             |change| change.size.value.abs() * arm.reach_m,

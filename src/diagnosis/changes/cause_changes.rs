@@ -1,5 +1,5 @@
-//! Causes that step, or drift at a constant rate: a slipped tool, a moved base, a tracker's or SLAM's world, a marker
-//! that creeps, a lost joint zero, a radial scale.
+//! Causes that step or drift: a slipped tool, a moved base, a tracker's or SLAM's world, a marker that creeps, a joint zero
+//! that is lost or warms up, a radial scale.
 //!
 //! All changes are fitted to the residuals of all streams, together with constant causes and link deviations. Their
 //! effect is removed from joint states and poses, and the run is diagnosed again.
@@ -8,8 +8,9 @@ use super::encoding_changes::Segments;
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
 use super::large_steps::{LargeStep, LargeSteps, StepSize, large_steps};
 use super::patches::with_poses;
+use super::profile::Profile;
 use super::split_run::SplitRun;
-use super::step_test::{ChangeKind, StepOrDrift, likeliest_change};
+use super::step_test::{ChangeKind, ColumnChange, likeliest_changes};
 use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
@@ -17,7 +18,7 @@ use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
 use crate::residuals::cause_columns::{
-    CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
+    CauseColumns, Frame, LATENCY, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
 };
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -56,17 +57,22 @@ struct Change {
     subject: Subject,
     /// Variable columns in its stream. Of a joint zero, one.
     columns: Range<usize>,
-    /// By the stamps of its stream, or of the joints for a joint zero. `None` for a drift over the whole run.
-    step: Option<Jump>,
+    /// By the stamps of its stream, or of the joints for a joint zero.
+    profile: Profile,
     /// Half of the change in its columns.
     half: DVector<f64>,
 }
 
 impl Change {
-    /// Time and half-width of its interval.
-    fn time(&self, columns: &CauseColumns) -> (f64, f64) {
-        let whole = (columns.aligned.middle_s(), columns.half_span_s());
-        self.step.map_or(whole, |step| (step.at_s, step.within_s))
+    /// Parameters of its amount and of a gradual profile.
+    fn width(&self) -> usize {
+        let of_profile = if self.has_amount() { self.profile.derivatives(0.0).len() } else { 0 };
+        self.columns.len() + of_profile
+    }
+
+    /// Without one, its profile has no effect.
+    fn has_amount(&self) -> bool {
+        self.half.iter().any(|value| *value != 0.0)
     }
 
     /// `part` times its half, as a twist of its frame. Zero unless a frame changes.
@@ -99,10 +105,6 @@ impl Target {
     }
 }
 
-fn later(step: Option<Jump>, by_s: f64) -> Option<Jump> {
-    step.map(|step| Jump { at_s: step.at_s + by_s, ..step })
-}
-
 /// A stream that follows FK, and what changes it.
 struct Stream<'a> {
     columns: CauseColumns<'a>,
@@ -128,70 +130,77 @@ impl<'a> Stream<'a> {
     }
 
     /// The change in this stream's columns and stamps. `None` if it does not affect the stream.
-    fn seen(&self, change: &Change) -> Option<StepOrDrift> {
+    fn seen(&self, change: &Change) -> Option<ColumnChange> {
         match change.subject {
             Subject::Zero { column } => {
                 let joint = self.joints.iter().position(|own| *own == column)?;
                 let own = ZEROS + joint;
-                let step = later(change.step, self.latency_s());
+                let profile = change.profile.later(self.latency_s());
                 let is_known = self.columns.zeros().contains(&own);
-                is_known.then(|| StepOrDrift { step, columns: own..own + 1 })
+                is_known.then(|| ColumnChange { profile, columns: own..own + 1 })
             }
             subject => (subject.stream() == Some(self.index))
-                .then(|| StepOrDrift { step: change.step, columns: change.columns.clone() }),
+                .then(|| ColumnChange { profile: change.profile, columns: change.columns.clone() }),
         }
     }
 
-    /// The change that is seen in these columns. `None` for a latency, or for a joint zero that drifts.
-    fn change(&self, StepOrDrift { step, columns }: StepOrDrift) -> Option<Change> {
+    /// The change that is seen in these columns. `None` for a latency.
+    fn change(&self, ColumnChange { profile, columns }: ColumnChange) -> Option<Change> {
         let stream = self.index;
         let half = DVector::zeros(columns.len());
         let subject = match Frame::of(&columns) {
             Some(frame) => Subject::Frame { stream, frame },
             None if columns.start == RADIAL_SCALE => Subject::RadialScale { stream },
             None => {
-                let joint = columns.start.checked_sub(ZEROS).filter(|_| step.is_some())?;
+                let joint = columns.start.checked_sub(ZEROS)?;
                 Subject::Zero { column: self.joints[joint] }
             }
         };
         // Joint zeros change by the joints' stamps.
         let late_s = if subject.stream().is_none() { self.latency_s() } else { 0.0 };
-        Some(Change { subject, columns, step: later(step, -late_s), half })
+        Some(Change { subject, columns, profile: profile.later(-late_s), half })
     }
 
-    fn linearize(&self, seen: &[StepOrDrift]) -> Linear {
-        let factors = |it: &StepOrDrift| {
-            let times = self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
-            times.map(|t_s| it.factor(&self.columns, t_s)).collect()
-        };
-        let variable = seen
-            .iter()
-            .map(|it| VariableColumns { columns: it.columns.clone(), factors: factors(it) });
-        self.columns.linearize(&variable.collect::<Vec<_>>())
-    }
-
-    /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
-    /// the latency, is likelier.
-    fn next_change(
-        &self,
-        changes: &[Change],
-        linear: &Linear,
-        kind: ChangeKind,
-    ) -> Option<(Change, f64)> {
-        if !has_slow_residual(self.found) {
-            return None;
+    /// The amounts of each change, then the parameters of its profile.
+    fn linearize(&self, changes: &[(&Change, ColumnChange)]) -> Linear {
+        let mut variable = Vec::new();
+        for (change, ColumnChange { profile, columns }) in changes {
+            let t_s = || self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
+            let factors = t_s().map(|t_s| profile.factor(t_s)).collect();
+            variable.push(VariableColumns { columns: columns.clone(), factors, along: None });
+            for parameter in 0..change.width() - columns.len() {
+                let factors = t_s().map(|t_s| profile.derivatives(t_s)[parameter]).collect();
+                let along = Some(change.half.clone());
+                variable.push(VariableColumns { columns: columns.clone(), factors, along });
+            }
         }
-        let seen: Vec<StepOrDrift> = changes.iter().filter_map(|it| self.seen(it)).collect();
+        self.columns.linearize(&variable)
+    }
+
+    /// The likeliest changes in addition to these, of each kind of profile. Their scores are too close if other changes are
+    /// still in the residual.
+    fn next_changes(&self, changes: &[Change], linear: &Linear, kind: ChangeKind) -> Vec<Change> {
+        const MIN_RELATIVE_SCORE: f64 = 0.5;
+        if !has_slow_residual(self.found) {
+            return Vec::new();
+        }
+        let seen: Vec<ColumnChange> = changes.iter().filter_map(|it| self.seen(it)).collect();
         let weights = self.columns.local_weights(linear);
-        let (next, score) = likeliest_change(&self.columns, &seen, (linear, &weights), kind)?;
-        Some((self.change(next)?, score))
+        let next = likeliest_changes(&self.columns, &seen, (linear, &weights), kind);
+        let best = next.iter().map(|it| it.1).fold(0.0, f64::max);
+        // A likelier one of the latency.
+        if next.iter().any(|(it, score)| *score == best && it.columns.start == LATENCY) {
+            return Vec::new();
+        }
+        let close = next.into_iter().filter(|(_, score)| *score > MIN_RELATIVE_SCORE * best);
+        close.filter_map(|(it, _)| self.change(it)).collect()
     }
 
     /// Removes these changes of frames and radial scales from a corrected pose. `constant` are twists of the reference and
     /// the tool.
     fn steady_pose(
         &self,
-        changes: &[(&Change, StepOrDrift)],
+        changes: &[(&Change, ColumnChange)],
         target: Target,
         constant: &[[f64; 6]; 2],
         is: &Pose,
@@ -200,7 +209,7 @@ impl<'a> Stream<'a> {
         let mut twists = *constant;
         let mut scale = 0.0;
         for (change, seen) in changes {
-            let part = seen.factor(&self.columns, t_s) + target.part();
+            let part = seen.profile.factor(t_s) + target.part();
             let twist = match change.subject {
                 Subject::Frame { frame: Frame::Reference, .. } => &mut twists[0],
                 Subject::Frame { frame: Frame::Tool, .. } => &mut twists[1],
@@ -219,7 +228,7 @@ impl<'a> Stream<'a> {
         pose
     }
 
-    fn seen_changes<'b>(&self, changes: &'b [Change]) -> Vec<(&'b Change, StepOrDrift)> {
+    fn seen_changes<'b>(&self, changes: &'b [Change]) -> Vec<(&'b Change, ColumnChange)> {
         changes.iter().filter_map(|change| Some((change, self.seen(change)?))).collect()
     }
 
@@ -247,8 +256,7 @@ impl<'a> Stream<'a> {
             let mut turned = false;
             for (change, seen) in seen.iter().filter(|it| it.0.subject.stream().is_none()) {
                 let joint = seen.columns.start - ZEROS;
-                aligned.q_at_truth[row * dof + joint] +=
-                    seen.factor(&self.columns, t_s) * change.half[0];
+                aligned.q_at_truth[row * dof + joint] += seen.profile.factor(t_s) * change.half[0];
                 turned = true;
             }
             if turned {
@@ -273,8 +281,9 @@ impl<'a> Stream<'a> {
         let mut of_twist = DMatrix::zeros(6, 6);
         let first = change.columns.start - frame.columns().start;
         of_twist.view_mut((first, first), covariance.shape()).copy_from(&(covariance * 4.0));
-        let about = match (frame, change.step) {
-            (Frame::Reference, Some(_)) => self.columns.centre,
+        let is_step = change.profile.step().is_some();
+        let about = match frame {
+            Frame::Reference if is_step => self.columns.centre,
             _ => Vec3::zeros(),
         };
         // A rotation about the middle of the motion moves the origin.
@@ -287,18 +296,18 @@ impl<'a> Stream<'a> {
             MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
         };
         let (shift, turn) = (length(0), length(3));
-        let (at_s, within_s) = change.time(&self.columns);
+        let (at_s, within_s) = change.profile.interval_s();
         let base = match frame {
             Frame::Reference => &self.found.reference,
             Frame::Tool => &self.found.tool,
         };
         let base = base.as_ref().ok().filter(|frame| frame.is_chosen);
         let base = base.map_or_else(Pose::identity, |frame| frame.pose);
-        let others = all.iter().filter(|it| it.subject == change.subject && it.step != change.step);
+        let others =
+            all.iter().filter(|it| it.subject == change.subject && it.profile != change.profile);
         let mut of_others = [0.0; 6];
         for other in others {
-            let factor = self.seen(other).map_or(0.0, |seen| seen.factor(&self.columns, at_s));
-            let part = factor + Target::Start.part();
+            let part = other.profile.factor(at_s) + Target::Start.part();
             of_others.iter_mut().zip(other.twist(part)).for_each(|(sum, own)| *sum += own);
         }
         let about = Pose::from_parts(about.into(), Rotation::identity());
@@ -318,7 +327,7 @@ impl<'a> Stream<'a> {
         ChangePoint {
             at_s,
             within_s,
-            is_gradual: change.step.is_none(),
+            course: change.profile.course(),
             from: from * base,
             to: to * base,
             size: FrameEstimate {
@@ -334,8 +343,8 @@ impl<'a> Stream<'a> {
 
 /// Joint fit of several changes. Directions that the motion does not show stay zero.
 struct Fit {
-    /// What to add to half of each change, in its columns.
-    halves: Vec<DVector<f64>>,
+    /// What to add to half of each change, in its columns, and to its profile.
+    changes: Vec<(DVector<f64>, Vec<f64>)>,
     /// What to add to the constant reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
     dof: f64,
@@ -345,7 +354,7 @@ struct Fit {
 /// come first, then the changes.
 struct Equations {
     streams: Vec<StreamEquations>,
-    /// Parameters of each change.
+    /// Parameters of each change: of its amount, then of its profile.
     changes: Vec<Range<usize>>,
     /// Precision of the prior.
     prior: DMatrix<f64>,
@@ -365,16 +374,17 @@ impl Equations {
         let constant: usize = streams.iter().map(|stream| stream.columns.constant()).sum();
         let mut width = constant;
         let of_change = |change: &Change| {
-            width += change.columns.len();
-            width - change.columns.len()..width
+            width += change.width();
+            width - change.width()..width
         };
         let of_changes: Vec<Range<usize>> = changes.iter().map(of_change).collect();
         let mut prior = DMatrix::zeros(width, width);
         let mut start = 0;
         let equations = |(index, stream): (usize, &Stream)| {
             let seen = changes.iter().zip(&of_changes);
-            let seen = seen.filter_map(|(change, at)| Some((stream.seen(change)?, at.clone())));
-            let (seen, seen_at): (Vec<StepOrDrift>, Vec<Range<usize>>) = seen.unzip();
+            let seen =
+                seen.filter_map(|(change, at)| Some(((change, stream.seen(change)?), at.clone())));
+            let (seen, seen_at): (Vec<_>, Vec<Range<usize>>) = seen.unzip();
             let linear = stream.linearize(&seen);
             let of_residuals = || {
                 let first = stream.columns.fit(&linear, &linear.first_weights());
@@ -391,7 +401,7 @@ impl Equations {
         Self { streams, changes: of_changes, prior }
     }
 
-    /// Covariance of half of each change.
+    /// Covariance of each change: of half of its amount, then of its profile.
     fn covariances(&self) -> Vec<DMatrix<f64>> {
         // The prior is as good as samples.
         let (mut information, mut scores) = (self.prior.clone(), self.prior.clone());
@@ -416,12 +426,15 @@ impl Equations {
         normal
     }
 
-    fn fit(&self, streams: &[Stream]) -> Fit {
+    fn fit(&self, streams: &[Stream], changes: &[Change]) -> Fit {
         let normal = self.normal();
         let width = self.prior.nrows();
         let all: Vec<usize> = (0..width).collect();
         let step = normal.step(&DVector::zeros(width), &all);
-        let half = |own: &Range<usize>| step.rows(own.start, own.len()).into_owned();
+        let of_change = |(own, change): (&Range<usize>, &Change)| {
+            let (half, profile) = step.as_slice()[own.clone()].split_at(change.columns.len());
+            (DVector::from_column_slice(half), profile.to_vec())
+        };
         let twist = |first: usize| std::array::from_fn(|i| step[first + i]);
         let mut start = 0;
         let frames = streams.iter().map(|stream| {
@@ -431,7 +444,7 @@ impl Equations {
         });
         Fit {
             frames: frames.collect(),
-            halves: self.changes.iter().map(half).collect(),
+            changes: self.changes.iter().zip(changes).map(of_change).collect(),
             dof: (normal.independent - width as f64).max(3.0),
         }
     }
@@ -442,7 +455,8 @@ impl Equations {
         let cost_without = |at: &usize| {
             let own = &self.changes[*at];
             let mut values = DVector::zeros(self.prior.nrows());
-            values.rows_mut(own.start, own.len()).copy_from(&changes[*at].half);
+            let half = &changes[*at].half;
+            values.rows_mut(own.start, half.len()).copy_from(half);
             let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
             normal.cost_after(&normal.step(&values, &others))
         };
@@ -456,8 +470,8 @@ impl Equations {
         let all: Vec<usize> = (0..self.prior.nrows()).collect();
         let step = normal.step(&DVector::zeros(all.len()), &all);
         let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
-        let times = changes.iter().filter(|change| change.step.is_some()).count();
-        -normal.cost_after(&step) - price(normal.independent) * (parameters + times) as f64
+        let of_profiles = changes.iter().map(|change| change.profile.parameters()).sum::<usize>();
+        -normal.cost_after(&step) - price(normal.independent) * (parameters + of_profiles) as f64
     }
 }
 
@@ -493,8 +507,8 @@ impl RecordedJumps {
     }
 
     /// Dates a step by the jump in its interval. If it is dated late, a few samples keep its whole error. Whether there is a jump.
-    fn date(&self, Change { subject, step, .. }: &mut Change) -> bool {
-        let Some(step) = step else { return false };
+    fn date(&self, Change { subject, profile, .. }: &mut Change) -> bool {
+        let Profile::Step(step) = profile else { return false };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
         let is_within =
             |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
@@ -524,19 +538,30 @@ impl Candidate {
 
     /// Whatever their amounts.
     fn has_changes_of(&self, other: &Self) -> bool {
-        let key = |it: &Change| (it.subject, it.columns.clone(), it.step);
+        let key = |it: &Change| (it.subject, it.columns.clone(), it.profile);
         self.changes.iter().map(key).eq(other.changes.iter().map(key))
     }
 
     /// Fits the amounts.
     fn fitted(mut self, streams: &[Stream]) -> Self {
-        const GAUSS_NEWTON_STEPS: usize = 2;
-        for _ in 0..GAUSS_NEWTON_STEPS {
+        /// Amounts alone need two.
+        const MIN_STEPS: usize = 2;
+        const MAX_STEPS: usize = 6;
+        /// Step of a profile, in parts of the run, that ends the fit.
+        const MIN_PROFILE_STEP: f64 = 2e-3;
+        for step in 1..=MAX_STEPS {
             let steady = self.steady(streams);
-            let fit = Equations::new(&steady, &self.changes, None).fit(&steady);
-            self.changes.iter_mut().zip(&fit.halves).for_each(|(it, more)| it.half += more);
+            let fit = Equations::new(&steady, &self.changes, None).fit(&steady, &self.changes);
+            for (it, (half, profile)) in self.changes.iter_mut().zip(&fit.changes) {
+                it.half += half;
+                it.profile = it.profile.stepped(profile);
+            }
             let all = self.frames.iter_mut().flatten().flatten();
             all.zip(fit.frames.iter().flatten().flatten()).for_each(|(it, more)| *it += more);
+            let of_profiles = fit.changes.iter().flat_map(|(_, profile)| profile);
+            if step >= MIN_STEPS && of_profiles.into_iter().all(|by| by.abs() < MIN_PROFILE_STEP) {
+                break;
+            }
         }
         self
     }
@@ -580,11 +605,18 @@ struct Fitted {
 }
 
 impl Fitted {
+    fn of(candidate: Candidate, streams: &[Stream]) -> Self {
+        let steady = candidate.steady(streams);
+        let equations = Equations::new(&steady, &candidate.changes, None);
+        Self::new(candidate, &steady, &equations)
+    }
+
     /// Samples at a step do not count: their part of it is unknown.
     fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
         let mut sigma_m = 0.0;
         let weights = |(stream, equations): (&Stream, &StreamEquations)| {
-            let steps = candidate.changes.iter().filter_map(|change| stream.seen(change)?.step);
+            let steps =
+                candidate.changes.iter().filter_map(|change| stream.seen(change)?.profile.step());
             let steps: Vec<Jump> = steps.collect();
             let is_at = |t_s: f64| steps.iter().any(|it| (t_s - it.at_s).abs() <= it.within_s);
             let mut weights = equations.weights.clone();
@@ -618,25 +650,35 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
         if count == MAX_CHANGES * streams.len() {
             break;
         }
-        let next = |(stream, equations): (&Stream, &StreamEquations)| {
-            stream.next_change(&current.changes, &equations.linear, kind)
-        };
-        let next = steady.iter().zip(&equations.streams).filter_map(next);
-        let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-        let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
-        let is_last = |stream: &Stream| {
-            stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
+        let is_last = |change: &Change| {
+            let is_last = |stream: &Stream| {
+                stream.seen(change).is_none_or(|it| it.columns.start == stream.columns.last_zero())
+            };
+            change.subject.stream().is_none() && streams.iter().all(is_last)
         };
-        if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
+        let next = |(stream, equations): (&Stream, &StreamEquations)| {
+            stream.next_changes(&current.changes, &equations.linear, kind)
+        };
+        let next = steady.iter().zip(&equations.streams).flat_map(next);
+        let next = next.filter_map(|mut next| {
+            let is_recorded = jumps.date(&mut next);
+            if !is_recorded && is_last(&next) {
+                return None;
+            }
+            let mut more = current.clone();
+            more.changes.push(next);
+            let known = found.iter().find(|it| it.candidate.has_changes_of(&more));
+            Some(known.map_or_else(|| more.fitted(streams), |known| known.candidate.clone()))
+        });
+        let next: Vec<Fitted> = next.map(|next| Fitted::of(next, streams)).collect();
+        let Some(smallest) = next.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m)) else {
             break;
-        }
-        current.changes.push(next);
-        let known = found.iter().find(|it| it.candidate.has_changes_of(&current));
-        current = match known {
-            Some(known) => known.candidate.clone(),
-            None => current.fitted(streams),
         };
+        let noise = smallest.weights.clone();
+        let next = next.into_iter().map(|it| it.candidate);
+        let Some((likeliest, _)) = likeliest(next, streams, &noise) else { break };
+        current = likeliest;
     }
 }
 
@@ -683,8 +725,8 @@ fn refined(
         let steady = Stream::all(run, &removal.after);
         let mut more = removal.changes.clone();
         more.iter_mut().for_each(|change| change.half.fill(0.0));
-        let halves = Equations::new(&steady, &more, None).fit(&steady).halves;
-        more.iter_mut().zip(halves).for_each(|(change, half)| change.half = half);
+        let fit = Equations::new(&steady, &more, None).fit(&steady, &more);
+        more.iter_mut().zip(fit.changes).for_each(|(change, (half, _))| change.half = half);
         let norm = |changes: &[Change]| -> f64 {
             changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
         };
@@ -705,18 +747,26 @@ fn refined(
     removal
 }
 
-/// Spans between steps of a joint's zero, each with the offset to the zero of the first: it is lost later.
+/// Offset of a joint's zero to that at the start.
+fn zero_offset<'a>(changes: impl Iterator<Item = &'a Change>, column: usize, t_s: f64) -> f64 {
+    let own = changes.filter(|change| change.subject == Subject::Zero { column });
+    own.map(|change| (change.profile.factor(t_s) + Target::Start.part()) * change.half[0]).sum()
+}
+
+/// Spans between steps of a joint's zero, or in which it changes linearly.
 fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
     let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
-    let mut steps: Vec<(f64, f64)> =
-        own.filter_map(|change| Some((change.step?.at_s, 2.0 * change.half[0]))).collect();
-    steps.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let starts = std::iter::once((f64::NEG_INFINITY, 0.0)).chain(steps.iter().copied());
-    let ends = steps.iter().map(|(at_s, _)| *at_s).chain([f64::INFINITY]);
-    let mut offset = 0.0;
-    let span = |((from_s, step), to_s): ((f64, f64), f64)| {
-        offset += step;
-        JointPatch { column, exchanged_with: None, from_s, to_s, factor: 1.0, offset }
+    let mut knots: Vec<f64> = own.flat_map(|change| change.profile.knots_s()).collect();
+    knots.sort_by(f64::total_cmp);
+    let starts = std::iter::once(f64::NEG_INFINITY).chain(knots.iter().copied());
+    let ends = knots.iter().copied().chain([f64::INFINITY]);
+    let span = |(from_s, to_s): (f64, f64)| {
+        // A step at the end belongs to the next span.
+        let [offset, last] =
+            [from_s, to_s.next_down()].map(|t_s| zero_offset(changes.iter(), column, t_s));
+        let span_s = to_s - from_s;
+        let rate = if span_s.is_finite() && span_s > 0.0 { (last - offset) / span_s } else { 0.0 };
+        JointPatch { offset, rate, ..JointPatch::unchanged(column, from_s, to_s) }
     };
     starts.zip(ends).map(span).collect()
 }
@@ -724,7 +774,7 @@ fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
 /// Corrects joint zeros to the first one.
 fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
     let spans = (0..run.joints.dof).flat_map(|column| zero_spans(changes, column));
-    spans.filter(|span| span.offset != 0.0).collect()
+    spans.filter(|span| span.offset != 0.0 || span.rate != 0.0).collect()
 }
 
 impl Removal {
@@ -772,9 +822,11 @@ impl Removal {
             false => return None,
         };
         let equations = Equations::new(&streams, &changes, None);
-        let Fit { dof, .. } = equations.fit(&streams);
+        let Fit { dof, .. } = equations.fit(&streams, &changes);
         let covariances = equations.covariances();
         for (change, covariance) in changes.iter().zip(&covariances) {
+            let amounts = change.columns.len();
+            let covariance = &covariance.view((0, 0), (amounts, amounts)).into_owned();
             let std_error = 2.0 * covariance[(0, 0)].sqrt();
             let size = Measured { value: 2.0 * change.half[0], std_error, dof };
             let is_significant = match change.subject {
@@ -795,16 +847,15 @@ impl Removal {
                     is_significant
                 }
                 Subject::RadialScale { stream } => {
-                    let columns = &streams.iter().find(|it| it.index == stream)?.columns;
                     let stream = &mut after.streams[stream];
                     let base = stream.radial_scale.as_ref().ok();
                     let base = base.filter(|_| stream.is_radial_scale_chosen);
                     let at_start = base.map_or(0.0, |base| base.value);
-                    let (at_s, within_s) = change.time(columns);
+                    let (at_s, within_s) = change.profile.interval_s();
                     stream.radial_scale_changes.push(ChangePoint {
                         at_s,
                         within_s,
-                        is_gradual: change.step.is_none(),
+                        course: change.profile.course(),
                         from: at_start,
                         to: at_start + size.value,
                         size,
@@ -812,7 +863,7 @@ impl Removal {
                     size.value.abs() > size.half_width(confidence)
                 }
                 Subject::Zero { column } => {
-                    let zero = report_zero(change, column, size, &changes, &found)?;
+                    let zero = report_zero(change, column, size, &changes, &found);
                     after.joints.changes.push(JointChange {
                         column,
                         zero: Some(zero),
@@ -865,22 +916,14 @@ fn report_zero(
     size: Measured,
     all: &[Change],
     found: &ArmDiagnosis,
-) -> Option<ScalarChange> {
-    let step = change.step?;
-    let spans = zero_spans(all, column);
-    let offset = |is_next: &dyn Fn(&&JointPatch) -> bool| {
-        spans.iter().find(is_next).map_or(0.0, |span| span.offset)
-    };
+) -> ScalarChange {
+    let (at_s, within_s) = change.profile.interval_s();
     let base = found.joints.offsets.get(column).filter(|offset| offset.is_chosen);
     let base = base.and_then(|offset| offset.offset.as_ref().ok()).map_or(0.0, |it| it.value);
-    Some(ChangePoint {
-        at_s: step.at_s,
-        within_s: step.within_s,
-        is_gradual: false,
-        from: base + offset(&|span| span.to_s == step.at_s),
-        to: base + offset(&|span| span.from_s == step.at_s),
-        size,
-    })
+    let others = all.iter().filter(|other| other.profile != change.profile);
+    let from = base + zero_offset(others, column, at_s);
+    let course = change.profile.course();
+    ChangePoint { at_s, within_s, course, from, to: from + size.value, size }
 }
 
 /// Reports in `after`, the diagnosis of decoded poses, the encoding that they had.
@@ -964,7 +1007,7 @@ impl LargeStep {
             StepSize::Zero(column, by) => Some(Change {
                 subject: Subject::Zero { column },
                 columns: 0..1,
-                step: Some(self.jump),
+                profile: Profile::Step(self.jump),
                 half: DVector::from_element(1, 0.5 * by),
             }),
             StepSize::Frame(index, frame, turns) => {
@@ -986,7 +1029,7 @@ impl LargeStep {
                 Some(Change {
                     subject: Subject::Frame { stream: index, frame },
                     columns: frame.columns(),
-                    step: later(Some(self.jump), run.lags[index]),
+                    profile: Profile::Step(self.jump).later(run.lags[index]),
                     half,
                 })
             }
@@ -998,7 +1041,7 @@ impl LargeStep {
 mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
-    use crate::{ArmDiagnosis, Confounder, PoseStream, diagnose_run};
+    use crate::{ArmDiagnosis, Confounder, Course, PoseStream, diagnose_run};
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
     use ground::stream::{Orientations, PoseTrack};
 
@@ -1083,6 +1126,42 @@ mod tests {
             assert!(found.streams[0].tool_changes.is_empty(), "{link_m}");
             let twins = &found.joints.offsets[5].confounders;
             assert!(matches!(twins.as_slice(), [Confounder::Tool(0, _)]), "{link_m}: {twins:?}");
+        }
+    }
+
+    #[test]
+    fn a_joint_zero_that_warms_up_is_measured() {
+        let settling = |t_s: f64, tau_s: f64| 1.0 - (-t_s / tau_s).exp();
+        for link_m in LINK_M {
+            for tau_s in [4.0, 9.0] {
+                let drift = |t_s, joint| if joint == 3 { 0.4 * settling(t_s, tau_s) } else { 0.0 };
+                let found = diagnosed_zeros(link_m, drift).joints;
+                let [change] = found.changes.as_slice() else {
+                    panic!("{link_m} {tau_s}: {:?}", found.changes)
+                };
+                let zero = change.zero.as_ref().expect("a zero");
+                let span_s = zero.at_s + zero.within_s;
+                let is_right = change.column == 3
+                    && (zero.size.value.to_degrees() - 0.4 * settling(span_s, tau_s)).abs() < 0.02
+                    && matches!(zero.course, Course::Settling(found_s) if (found_s / tau_s - 1.0).abs() < 0.15);
+                assert!(is_right, "{link_m} {tau_s}: {change:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_tool_that_slips_gradually_is_measured() {
+        for link_m in LINK_M {
+            let slip = |t_s: f64| Vec3::new(0.0, 4e-3, 3e-3) * ((t_s - 6.0) / 5.0).clamp(0.0, 1.0);
+            let found = diagnosed(link_m, |t_s| [Vec3::zeros(), slip(t_s)]);
+            let [change] = found.streams[0].tool_changes.as_slice() else {
+                panic!("{link_m}: {:?}", found.streams[0].tool_changes)
+            };
+            let is_right = change.course == Course::Ramp
+                && (change.size.translation_m.value - 5e-3).abs() < 2e-4
+                && (change.at_s - 8.5).abs() < 0.2
+                && (change.within_s - 2.5).abs() < 0.2;
+            assert!(is_right, "{link_m}: {change:?}");
         }
     }
 

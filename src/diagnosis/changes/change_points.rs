@@ -11,14 +11,40 @@ pub struct ChangePoint<Value, Size> {
     pub at_s: f64,
     /// Half-width of the interval.
     pub within_s: f64,
-    /// Whether the value changes at a constant rate throughout the interval, instead of at once within it.
-    pub is_gradual: bool,
+    /// How the value changes in the interval.
+    pub course: Course,
     /// Value before.
     pub from: Value,
     /// Value after.
     pub to: Value,
     /// Their difference.
     pub size: Size,
+}
+
+impl<Value, Size> ChangePoint<Value, Size> {
+    /// Whether it is no step.
+    pub fn is_gradual(&self) -> bool {
+        self.course != Course::Step
+    }
+
+    /// Of a change that settles.
+    pub fn time_constant_s(&self) -> Option<f64> {
+        match self.course {
+            Course::Settling(time_constant_s) => Some(time_constant_s),
+            _ => None,
+        }
+    }
+}
+
+/// How a value changes in the interval of its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Course {
+    /// At once, somewhere in it.
+    Step,
+    /// At a constant rate throughout it.
+    Ramp,
+    /// As `1 − exp(−t/τ)` from its start, with this `τ` in s.
+    Settling(f64),
 }
 
 /// `reference_from_stream` or `tip_from_stream` before and after.
@@ -50,8 +76,17 @@ pub struct JointPatch {
     pub to_s: f64,
     /// Applied to positions.
     pub factor: f64,
-    /// Offset after the factor, rad or m.
+    /// Offset after the factor at the start, rad or m.
     pub offset: f64,
+    /// Its rate, per s.
+    pub rate: f64,
+}
+
+impl JointPatch {
+    /// Without an effect.
+    pub(super) fn unchanged(column: usize, from_s: f64, to_s: f64) -> Self {
+        Self { column, exchanged_with: None, from_s, to_s, factor: 1.0, offset: 0.0, rate: 0.0 }
+    }
 }
 
 /// Spans of a stream's reported encoding, s from the run's origin on the joints' clock. `None` for the

@@ -11,7 +11,8 @@ use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest}
 use super::patches::{decoded_poses, with_poses};
 use super::split_run::{Span, SplitRun};
 use super::{
-    ChangePoint, EncodingSpans, JointChange, JointPatch, constant_frames_suffice, is_explained,
+    ChangePoint, Course, EncodingSpans, JointChange, JointPatch, constant_frames_suffice,
+    is_explained,
 };
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
@@ -276,7 +277,7 @@ impl Segments {
             let size = Measured { value: to - from, std_error, ..surest };
             let is_same = size.value.abs() < 4.0 * std_error + 1e-5;
             let (at_s, within_s) = (jump.at_s, jump.within_s);
-            let factor = ChangePoint { at_s, within_s, is_gradual: false, from, to, size };
+            let factor = ChangePoint { at_s, within_s, course: Course::Step, from, to, size };
             (!is_same).then_some(JointChange { column, zero: None, factor: Some(factor) })
         };
         let all = self.all();
@@ -318,8 +319,7 @@ impl Segment {
     /// Corrections that put the joints of another segment into this one's encoding.
     fn patches(&self, other: &Segment, run: &SplitRun) -> Vec<JointPatch> {
         let (from_s, to_s) = other.span;
-        let unchanged =
-            JointPatch { column: 0, exchanged_with: None, from_s, to_s, factor: 1.0, offset: 0.0 };
+        let unchanged = JointPatch::unchanged(0, from_s, to_s);
         let (own, other) = (&self.found.joints, &other.found.joints);
         let exchanges = exchanges(own, other, run.arm.joints.dof);
         let exchanged =

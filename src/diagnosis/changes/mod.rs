@@ -1,6 +1,6 @@
 //! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! Steps and drifts of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]). Encodings are
+//! Steps and gradual changes of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]). Encodings are
 //! estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]). Steps of frames and zeros too
 //! large for a linearisation are differences between the diagnoses of the parts ([`large_steps`]).
 
@@ -11,6 +11,7 @@ mod encoding_changes;
 mod jumps;
 mod large_steps;
 mod patches;
+mod profile;
 mod split_run;
 mod step_test;
 
@@ -20,7 +21,7 @@ use crate::{ArmDiagnosis, PoseDiagnosis, PoseStream};
 
 pub(super) use cause_changes::diagnose_with_cause_changes;
 pub use change_points::{
-    ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
+    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
 };
 pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use encoding_changes::{

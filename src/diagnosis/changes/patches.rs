@@ -20,7 +20,7 @@ impl JointPatch {
                 joints.q.swap(at, other);
                 joints.qd.swap(at, other);
             }
-            self.apply_to_value(&mut joints.q[at], &mut joints.qd[at]);
+            self.apply_to_value(joints.t_s[row], &mut joints.q[at], &mut joints.qd[at]);
         }
         for edge in [rows.start, rows.end].into_iter().filter(|edge| *edge > 1) {
             for column in std::iter::once(self.column).chain(self.exchanged_with) {
@@ -33,7 +33,7 @@ impl JointPatch {
     /// The same for the joint's own samples.
     pub fn apply_to_samples(&self, t_s: &[f64], position: &mut [f64], velocity: &mut [f64]) {
         for row in self.rows(t_s) {
-            self.apply_to_value(&mut position[row], &mut velocity[row]);
+            self.apply_to_value(t_s[row], &mut position[row], &mut velocity[row]);
         }
     }
 
@@ -44,9 +44,11 @@ impl JointPatch {
         from..to
     }
 
-    fn apply_to_value(&self, position: &mut f64, velocity: &mut f64) {
-        *position = self.factor * *position + self.offset;
-        *velocity *= self.factor;
+    fn apply_to_value(&self, t_s: f64, position: &mut f64, velocity: &mut f64) {
+        // The first span begins at no time.
+        let drift = if self.rate == 0.0 { 0.0 } else { self.rate * (t_s - self.from_s) };
+        *position = self.factor * *position + self.offset + drift;
+        *velocity = self.factor * *velocity + self.rate;
     }
 }
 

@@ -2,10 +2,11 @@
 //! are free parameters.
 //!
 //! The gain of a step at each sample comes from one linearisation (sup-F test: Andrews, *Tests for parameter
-//! instability and structural change with unknown change point*, 1993). A change must pay for its parameters, and a step
-//! for its time.
+//! instability and structural change with unknown change point*, 1993), as do those of ramps and of changes that settle. A
+//! change must pay for its parameters, and for the times and the time constant of its profile.
 
 use super::jumps::Jump;
+use super::profile::{Profile, Shape};
 use crate::priors::price;
 use crate::residuals::cause_columns::{CauseColumns, Frame, LATENCY, ZEROS};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
@@ -30,21 +31,9 @@ fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
 
 /// Variable columns that change.
 #[derive(Clone)]
-pub(super) struct StepOrDrift {
-    /// `None` for a drift over the run.
-    pub step: Option<Jump>,
+pub(super) struct ColumnChange {
+    pub profile: Profile,
     pub columns: Range<usize>,
-}
-
-impl StepOrDrift {
-    /// From −1 before the step, or at the start of the run, to 1.
-    pub fn factor(&self, columns: &CauseColumns, t_s: f64) -> f64 {
-        match self.step {
-            Some(step) if t_s < step.at_s => -1.0,
-            Some(_) => 1.0,
-            None => columns.part(t_s),
-        }
-    }
 }
 
 /// Causes that may change.
@@ -69,13 +58,17 @@ impl ChangeKind {
 }
 
 /// A change with its score: the reduction of the cost beyond constant causes, minus the price of the change.
-type Scored = (StepOrDrift, f64);
+type Scored = (ColumnChange, f64);
 
 struct ScoreTest<'a> {
     columns: &'a CauseColumns<'a>,
     causes: Vec<Range<usize>>,
     linear: &'a Linear,
     weights: &'a [Weight],
+    /// Time of each sample.
+    t_s: Vec<f64>,
+    /// Consecutive samples, with their sums.
+    blocks: Vec<(Range<usize>, Sums)>,
     /// Inverse of the constant causes' normal matrix.
     inverse: DMatrix<f64>,
     /// Their step.
@@ -85,10 +78,23 @@ struct ScoreTest<'a> {
 
 /// Sums over samples of the variable columns with a factor: products with the constant columns, with each other, and
 /// with the residual.
+#[derive(Clone)]
 struct Sums {
     constant: DMatrix<f64>,
     square: DMatrix<f64>,
     right: DVector<f64>,
+}
+
+impl Sums {
+    /// Adds these, whose factor is 1, with another factor.
+    fn add(&mut self, factor: f64, other: &Self) {
+        let add = |sum: &mut [f64], factor: f64, other: &[f64]| {
+            sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += factor * other);
+        };
+        add(self.constant.as_mut_slice(), factor, other.constant.as_slice());
+        add(self.square.as_mut_slice(), factor * factor, other.square.as_slice());
+        add(self.right.as_mut_slice(), factor, other.right.as_slice());
+    }
 }
 
 /// Index among the causes, sample, gain and score.
@@ -96,11 +102,25 @@ type Candidate = (usize, usize, f64, f64);
 
 impl<'a> ScoreTest<'a> {
     fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
+        /// Samples of a block.
+        const BLOCK: usize = 16;
         let normal = columns.normal_equations(linear, weights);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();
         let constant = &inverse * normal.right;
         let (causes, price) = (causes(columns), price(normal.independent));
-        Some(Self { columns, causes, linear, weights, inverse, constant, price })
+        let t_s = columns.samples().map(|row| columns.aligned.t_s[row]).collect();
+        let blocks = Vec::new();
+        let mut test =
+            Self { columns, causes, linear, weights, t_s, blocks, inverse, constant, price };
+        let starts = (0..linear.len()).step_by(BLOCK);
+        let block = |start: usize| {
+            let samples = start..(start + BLOCK).min(linear.len());
+            let mut sums = test.empty();
+            samples.clone().for_each(|sample| test.add(sample, &mut sums));
+            (samples, sums)
+        };
+        test.blocks = starts.map(block).collect();
+        Some(test)
     }
 
     fn empty(&self) -> Sums {
@@ -112,10 +132,10 @@ impl<'a> ScoreTest<'a> {
         }
     }
 
-    fn add(&self, sample: usize, factor: f64, sums: &mut Sums) {
+    fn add(&self, sample: usize, sums: &mut Sums) {
         for row in 0..6 {
             let derivatives = DVector::from_column_slice(self.linear.row(sample, row));
-            let variable = self.columns.variable_row(self.linear.row(sample, row)) * factor;
+            let variable = self.columns.variable_row(self.linear.row(sample, row));
             let weight = self.weights[row / 3].component(sample);
             sums.constant.ger(weight, &variable, &derivatives, 1.0);
             sums.square.ger(weight, &variable, &variable, 1.0);
@@ -139,11 +159,18 @@ impl<'a> ScoreTest<'a> {
 
     /// Of steps of each cause at each of these samples.
     fn gains_of_steps(&self, samples: &[usize]) -> Vec<Vec<f64>> {
-        let (mut later, mut end) = (self.empty(), self.linear.len());
+        let (mut later, mut rest) = (self.empty(), self.blocks.as_slice());
         let gains = samples.iter().rev().map(|&from| {
-            (from..end).for_each(|sample| self.add(sample, 1.0, &mut later));
-            end = from;
-            self.gains(&later)
+            while let Some(((own, sums), before)) = rest.split_last()
+                && own.start >= from
+            {
+                later.add(1.0, sums);
+                rest = before;
+            }
+            let end = rest.last().map_or(0, |(own, _)| own.end);
+            let mut sums = later.clone();
+            (from..end).for_each(|sample| self.add(sample, &mut sums));
+            self.gains(&sums)
         });
         let mut gains: Vec<_> = gains.collect();
         gains.reverse();
@@ -151,7 +178,7 @@ impl<'a> ScoreTest<'a> {
     }
 
     /// `gains` belong to steps at these samples.
-    fn likeliest_step(
+    fn likeliest_step_of(
         &self,
         samples: &[usize],
         gains: &[Vec<f64>],
@@ -169,22 +196,37 @@ impl<'a> ScoreTest<'a> {
             let scored =
                 gains.iter().copied().enumerate().filter(move |(of, _)| is_free(*of, sample));
             // The time is a parameter, too.
-            scored.map(move |(of, gain)| {
-                (of, sample, gain, gain - self.price * (self.causes[of].len() + 1) as f64)
-            })
+            scored.map(move |(of, gain)| (of, sample, gain, self.score(of, gain, 1)))
         });
         all.max_by(|a, b| a.3.total_cmp(&b.3))
     }
 
-    /// Cause with the highest score, with a factor of each sample.
-    fn likeliest(&self, factor: impl Fn(usize) -> f64) -> Option<Scored> {
+    fn score(&self, of: usize, gain: f64, profile_parameters: usize) -> f64 {
+        gain - self.price * (self.causes[of].len() + profile_parameters) as f64
+    }
+
+    /// Cause with the highest score, of those that change with a factor of each time that is nearly constant in a block.
+    fn likeliest(&self, factor: impl Fn(f64) -> f64, parameters: usize) -> Option<(usize, f64)> {
         let mut sums = self.empty();
-        (0..self.linear.len()).for_each(|sample| self.add(sample, factor(sample), &mut sums));
-        let scored = self.gains(&sums).into_iter().zip(&self.causes).map(|(gain, columns)| {
-            let score = gain - self.price * columns.len() as f64;
-            (StepOrDrift { step: None, columns: columns.clone() }, score)
-        });
+        for (samples, own) in &self.blocks {
+            let middle_s = 0.5 * (self.t_s[samples.start] + self.t_s[samples.end - 1]);
+            sums.add(factor(middle_s), own);
+        }
+        let gains = self.gains(&sums).into_iter().enumerate();
+        let scored = gains.map(|(of, gain)| (of, self.score(of, gain, parameters)));
         scored.max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The likeliest change with one of these shapes.
+    fn likeliest_drift(&self, shapes: Vec<Shape>) -> Option<Scored> {
+        let run_s = [*self.t_s.first()?, *self.t_s.last()?];
+        let scored = |shape: Shape| {
+            let profile = Profile::Drift { run_s, shape };
+            let (of, score) = self.likeliest(|t_s| profile.factor(t_s), profile.parameters())?;
+            Some((ColumnChange { profile, columns: self.causes[of].clone() }, score))
+        };
+        let all = shapes.into_iter().filter_map(scored);
+        all.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 }
 
@@ -194,53 +236,45 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let weights = linear.weights_after(fit.as_slice());
     let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
         test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
-        test.likeliest(|_| 1.0)
+        test.likeliest(|_| 1.0, 0)
     });
     zero.is_some_and(|(_, score)| score > 0.0)
 }
 
-/// The likeliest step or drift of the stream, in addition to those found and in the linearisation, if the likelihood justifies
-/// one.
-pub(super) fn likeliest_change(
+/// The likeliest changes of the stream, of each kind of profile, in addition to those found and in the linearisation, if the
+/// likelihood justifies them.
+pub(super) fn likeliest_changes(
     columns: &CauseColumns,
-    found: &[StepOrDrift],
+    found: &[ColumnChange],
     (linear, weights): (&Linear, &[Weight]),
     kind: ChangeKind,
-) -> Option<Scored> {
-    let mut test = ScoreTest::new(columns, linear, weights)?;
+) -> Vec<Scored> {
+    let Some(mut test) = ScoreTest::new(columns, linear, weights) else { return Vec::new() };
     test.causes.retain(|cause| kind.contains(cause, columns));
-    let rows: Vec<usize> = columns.samples().collect();
-    let drift = (kind != ChangeKind::Zeros)
-        .then(|| test.likeliest(|sample| columns.part(columns.aligned.t_s[rows[sample]])))
-        .flatten();
-    let step = likeliest_step(&test, &rows, found);
-    let all = drift.into_iter().chain(step).filter(|(_, score)| *score > 0.0);
-    all.max_by(|a, b| a.1.total_cmp(&b.1))
+    let drifts = Shape::coarse().into_iter().filter_map(|shapes| test.likeliest_drift(shapes));
+    let all = drifts.chain(likeliest_step(&test, found));
+    all.filter(|(_, score)| *score > 0.0).collect()
 }
 
 /// The strength of a step is relative to the price of its parameters.
-fn likeliest_step<'a>(
-    test: &ScoreTest,
-    rows: &[usize],
-    found: &'a [StepOrDrift],
-) -> Option<Scored> {
+fn likeliest_step<'a>(test: &ScoreTest, found: &'a [ColumnChange]) -> Option<Scored> {
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
     /// Between the samples tested first.
     const STRIDE: usize = 16;
-    let last = rows.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
+    let t_s = &test.t_s;
+    let last = t_s.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
     let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
-    let t_s = |sample: usize| test.columns.aligned.t_s[rows[sample]];
-    let sample_at = |at_s: f64| (0..rows.len()).find(|sample| t_s(*sample) >= at_s);
-    let at = |it: &'a StepOrDrift| Some((sample_at(it.step?.at_s)?, &it.columns));
+    let sample_at = |at_s: f64| (0..t_s.len()).find(|sample| t_s[*sample] >= at_s);
+    let at = |it: &'a ColumnChange| Some((sample_at(it.profile.step()?.at_s)?, &it.columns));
     let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
     let gains = test.gains_of_steps(&candidates);
-    let (_, near, ..) = test.likeliest_step(&candidates, &gains, &found)?;
+    let (_, near, ..) = test.likeliest_step_of(&candidates, &gains, &found)?;
     let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
         .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
         .collect();
     let gains_around = test.gains_of_steps(&around);
-    let (of, sample, gain, score) = test.likeliest_step(&around, &gains_around, &found)?;
+    let (of, sample, gain, score) = test.likeliest_step_of(&around, &gains_around, &found)?;
     let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
     let mut likely: Vec<usize> = Vec::new();
     for (tested, gains) in [(candidates, gains), (around, gains_around)] {
@@ -248,12 +282,12 @@ fn likeliest_step<'a>(
     }
     let (first, last) = (likely.iter().min()?, likely.iter().max()?);
     let columns = test.causes[of].clone();
-    let step = Jump {
-        at_s: 0.5 * (t_s(sample - 1) + t_s(sample)),
-        within_s: 0.5 * (t_s(*last) - t_s(first - 1)),
+    let profile = Profile::Step(Jump {
+        at_s: 0.5 * (t_s[sample - 1] + t_s[sample]),
+        within_s: 0.5 * (t_s[*last] - t_s[first - 1]),
         strength: gain / (test.price * (columns.len() + 1) as f64),
-    };
-    Some((StepOrDrift { step: Some(step), columns }, score))
+    });
+    Some((ColumnChange { profile, columns }, score))
 }
 
 #[cfg(test)]
@@ -289,7 +323,8 @@ mod tests {
         let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
-        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::Any)?.0.step
+        let all = likeliest_changes(&columns, &[], (&linear, &weights), ChangeKind::Any);
+        all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?.0.profile.step()
     }
 
     #[test]

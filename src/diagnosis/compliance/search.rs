@@ -5,9 +5,9 @@ use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
 use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 use super::system::{Coefficient, ComplianceSystem};
 use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
-use crate::ChangePoint;
 use crate::arm_run::ArmRun;
 use crate::priors::price;
+use crate::{ChangePoint, Course};
 use ground::stats::Measured;
 use std::ops::Range;
 use std::sync::Arc;
@@ -307,7 +307,7 @@ impl<'a> ComplianceSearch<'a> {
                 ComplianceKind::LoadedSag(at_s) => Some(ChangePoint {
                     at_s,
                     within_s: self.step_s(),
-                    is_gradual: false,
+                    course: Course::Step,
                     from: amount[0],
                     to: amount[1],
                     size: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),

@@ -37,7 +37,8 @@ impl<'a> ComplianceSystem<'a> {
                 if let Some(joint) = stream.joint(*column) {
                     seen.push(parameter);
                     let columns = ZEROS + joint..ZEROS + joint + 1;
-                    variable.push(VariableColumns { columns, factors: profiles[s].clone() });
+                    let factors = profiles[s].clone();
+                    variable.push(VariableColumns { columns, factors, along: None });
                 }
             }
             let constant = stream.columns.constant();

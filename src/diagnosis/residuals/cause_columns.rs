@@ -66,6 +66,14 @@ pub(crate) const LEVER_M: f64 = 0.3;
 pub(crate) struct VariableColumns {
     pub columns: Range<usize>,
     pub factors: Vec<f64>,
+    /// Their combination to a single column. `None`: they stay apart.
+    pub along: Option<DVector<f64>>,
+}
+
+impl VariableColumns {
+    fn width(&self) -> usize {
+        if self.along.is_some() { 1 } else { self.columns.len() }
+    }
 }
 
 #[derive(Clone)]
@@ -212,7 +220,7 @@ impl<'a> CauseColumns<'a> {
     /// Residuals in m and rad, and their derivatives by the constant causes, then by these variable ones.
     pub fn linearize(&self, variable: &[VariableColumns]) -> Linear {
         let constant = self.constant();
-        let width = constant + variable.iter().map(|own| own.columns.len()).sum::<usize>();
+        let width = constant + variable.iter().map(VariableColumns::width).sum::<usize>();
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
         let identity = Pose::identity();
         let mask = |vector: Vec3| if self.has_rotation { vector } else { Vec3::zeros() };
@@ -263,9 +271,14 @@ impl<'a> CauseColumns<'a> {
             for axis in 0..6 {
                 let derivatives = self.variable_row(linear.row(sample, axis));
                 let mut at = self.constant();
-                for VariableColumns { columns, factors } in variable {
-                    for column in columns.clone() {
-                        linear.set(sample, axis, at, factors[sample] * derivatives[column]);
+                for VariableColumns { columns, factors, along } in variable {
+                    let own = derivatives.rows(columns.start, columns.len()) * factors[sample];
+                    let own = match along {
+                        Some(along) => DVector::from_element(1, along.dot(&own)),
+                        None => own,
+                    };
+                    for value in own.iter() {
+                        linear.set(sample, axis, at, *value);
                         at += 1;
                     }
                 }
