@@ -1,9 +1,10 @@
 //! Recognises poses of objects: they rest while the joints move the tool, also if the tool carries them later.
 
 use std::collections::{BTreeMap, HashSet};
+use std::f64::consts::TAU;
 
 use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
-use crate::geometry::{Vec3, angle_between};
+use crate::geometry::{Vec3, angle_between, rotation_from_rpy};
 use crate::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
 
 use super::arm::Arm;
@@ -102,10 +103,18 @@ fn rest_radius(track: &PoseTrack) -> f64 {
 /// First and last sample of each rest: positions and orientations stay within the noise.
 fn rests(track: &PoseTrack, radius: f64) -> Vec<(usize, usize)> {
     const MAX_TURN_RAD: f64 = 0.1;
-    let is_turned = |a: usize, b: usize| match &track.orientation {
-        Orientations::Rotations(all) => angle_between(&all[a], &all[b]) > MAX_TURN_RAD,
-        Orientations::Numbers(_) | Orientations::Unset(_) => false,
+    let angle_rad = |a: usize, b: usize| match &track.orientation {
+        Orientations::Rotations(all) => angle_between(&all[a], &all[b]),
+        // A turn changes the numbers of every convention, by other amounts.
+        Orientations::Numbers(all) => {
+            let is_in_degrees = all.iter().flatten().any(|angle| angle.abs() > TAU);
+            let unit = if is_in_degrees { 1f64.to_radians() } else { 1.0 };
+            let [a, b] = [a, b].map(|row| rotation_from_rpy(all[row].map(|angle| angle * unit)));
+            angle_between(&a, &b)
+        }
+        Orientations::Unset(_) => 0.0,
     };
+    let is_turned = |a: usize, b: usize| angle_rad(a, b) > MAX_TURN_RAD;
     let (mut rests, mut first) = (Vec::new(), 0);
     while first < track.t_s.len() {
         let near = (first + 1..track.t_s.len()).take_while(|&row| {

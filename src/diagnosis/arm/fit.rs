@@ -18,12 +18,11 @@ use crate::selection::model_selection::{
     select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{
-    MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms, skew_beside_link_deviations,
+    MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, Timing, is_nominal, rms, timing_beside_link_deviations,
 };
 use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
-use ground::stats::Measured;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -37,7 +36,7 @@ pub(super) struct ArmFit {
     /// deviations can imitate are then not reported.
     pub(super) deviations: Option<LinkDeviations>,
     /// Per stream, beside these deviations.
-    pub(super) skews: Vec<Option<Measured>>,
+    pub(super) timings: Vec<Option<Timing>>,
 }
 
 static FULL_FITS: AtomicUsize = AtomicUsize::new(0);
@@ -55,23 +54,24 @@ pub(super) fn fit(
     let fitted = fit_with_link_deviations(decoded, corrected, with_offsets)?;
     let observations: Vec<&PoseObservations> =
         decoded.iter().map(|decoded| &decoded.observations).collect();
-    Some(with_hidden_skews(fitted, &observations))
+    Some(with_timings(fitted, &observations))
 }
 
-/// Measures the skews of an arm whose links deviate. Small ones are hidden from the selection of causes.
-fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
+/// Measures latencies and skews of an arm whose links deviate. Small ones are hidden from the selection of causes.
+fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
     if fitted.deviations.is_none() {
         return fitted;
     }
     let State { offsets, streams } = fitted.exact_state();
-    let skew = |s: usize| {
-        let is_candidate = fitted.candidates.all().contains(&Cause::Skew(s));
-        let found = || skew_beside_link_deviations(observations[s], &streams[s], &offsets);
-        is_candidate.then(found).flatten()
+    let all = fitted.candidates.all();
+    let timing = |s: usize| {
+        let has_skew = all.contains(&Cause::Skew(s));
+        let found =
+            || timing_beside_link_deviations(observations[s], &streams[s], &offsets, has_skew);
+        all.contains(&Cause::Latency(s)).then(found).flatten()
     };
-    let skews: Vec<Option<(Measured, bool)>> = (0..streams.len()).map(skew).collect();
-    let is_hidden =
-        |cause: &Cause| matches!(*cause, Cause::Skew(s) if skews[s].is_some_and(|skew| skew.1));
+    let timings: Vec<Option<Timing>> = (0..streams.len()).map(timing).collect();
+    let is_hidden = |cause: &Cause| matches!(*cause, Cause::Skew(s) if timings[s].is_some_and(|it| it.is_skewed));
     let mut candidates = fitted.candidates;
     let (hidden, optional): (Vec<Cause>, Vec<Cause>) = candidates
         .optional
@@ -89,14 +89,14 @@ fn with_hidden_skews(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmF
             model
         }
     };
-    let skews: Vec<Option<Measured>> =
-        skews.into_iter().map(|skew| skew.map(|skew| skew.0)).collect();
     for (s, stream) in model.state.streams.iter_mut().enumerate() {
-        if let Some(skew) = skews[s].filter(|_| model.causes.contains(&Cause::Skew(s))) {
+        let Some(timing) = timings[s] else { continue };
+        stream.latency_s = timing.latency_s.value;
+        if let Some(skew) = timing.skew.filter(|_| model.causes.contains(&Cause::Skew(s))) {
             stream.skew = skew.value;
         }
     }
-    ArmFit { model, candidates, skews, ..fitted }
+    ArmFit { model, candidates, timings, ..fitted }
 }
 
 fn fit_with_link_deviations(
@@ -178,7 +178,7 @@ fn fit_with_link_deviations(
     let is_of_calibrated =
         |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
-        let fitted = ArmFit { model, candidates, deviations: None, skews: Vec::new() };
+        let fitted = ArmFit { model, candidates, deviations: None, timings: Vec::new() };
         return Some(match with_offsets && has_links {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
@@ -194,7 +194,7 @@ fn fit_with_link_deviations(
     let candidates = CandidateCauses { always, optional, ..candidates };
     let start = State { offsets, streams: plain };
     let model = select_model(&observations, start, &candidates, FIT_SAMPLES);
-    Some(ArmFit { model, candidates, deviations, skews: Vec::new() })
+    Some(ArmFit { model, candidates, deviations, timings: Vec::new() })
 }
 
 /// Replaces frames by joint zeros that are likelier together with link deviations.
@@ -299,7 +299,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
         rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
     });
     match is_within_calibration {
-        true => ArmFit { model, candidates, deviations: nominal, skews: Vec::new() },
+        true => ArmFit { model, candidates, deviations: nominal, timings: Vec::new() },
         false => fitted,
     }
 }

@@ -153,7 +153,12 @@ pub(super) fn stream_diagnosis(
             Err(NotObservable::AtRest)
         }
     };
-    let latency_s = one(Cause::Latency(index)).map(|latency| Measured {
+    let timing = fitted.timings.get(index).copied().flatten();
+    let latency_s = match timing {
+        Some(timing) => Ok(timing.latency_s),
+        None => one(Cause::Latency(index)),
+    };
+    let latency_s = latency_s.map(|latency| Measured {
         std_error: latency.std_error.hypot(stream.stamp_error_s),
         ..latency
     });
@@ -161,7 +166,7 @@ pub(super) fn stream_diagnosis(
         Some(lags) => Err(NotObservable::Periodic(lags)),
         None => latency_s,
     };
-    let skew = match fitted.skews.get(index).copied().flatten() {
+    let skew = match timing.and_then(|timing| timing.skew) {
         Some(skew) => Ok(skew),
         None => one(Cause::Skew(index)),
     };

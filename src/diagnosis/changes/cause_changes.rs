@@ -10,15 +10,17 @@ use super::large_steps::{LargeStep, LargeSteps, StepSize, large_steps};
 use super::patches::with_poses;
 use super::profile::Profile;
 use super::split_run::SplitRun;
-use super::step_test::{ChangeKind, ColumnChange, likeliest_changes};
+use super::step_test::{ChangeKind, ColumnChange, likeliest_change};
 use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
-use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
+use crate::priors::{
+    FRAME_PRIOR_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+};
 use crate::residuals::cause_columns::{
-    CauseColumns, Frame, LATENCY, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
+    CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
 };
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -68,6 +70,18 @@ impl Change {
     fn width(&self) -> usize {
         let of_profile = if self.has_amount() { self.profile.derivatives(0.0).len() } else { 0 };
         self.columns.len() + of_profile
+    }
+
+    /// Minus twice the logarithm of the prior probability of its amount: opposite changes hardly ever cancel each other.
+    fn prior_cost(&self) -> f64 {
+        let size = |column: usize| match self.subject {
+            Subject::Frame { frame, .. } if frame.translation().contains(&column) => FRAME_PRIOR_M,
+            Subject::Frame { .. } => RAD_PER_M * FRAME_PRIOR_M,
+            Subject::RadialScale { .. } => RADIAL_SCALE_PRIOR,
+            Subject::Zero { .. } => ZERO_PRIOR,
+        };
+        let amounts = self.columns.clone().zip(&self.half);
+        amounts.map(|(column, half)| (2.0 * half / size(column)).powi(2)).sum()
     }
 
     /// Without one, its profile has no effect.
@@ -161,39 +175,56 @@ impl<'a> Stream<'a> {
         Some(Change { subject, columns, profile: profile.later(-late_s), half })
     }
 
-    /// The amounts of each change, then the parameters of its profile.
-    fn linearize(&self, changes: &[(&Change, ColumnChange)]) -> Linear {
-        let mut variable = Vec::new();
-        for (change, ColumnChange { profile, columns }) in changes {
-            let t_s = || self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
-            let factors = t_s().map(|t_s| profile.factor(t_s)).collect();
-            variable.push(VariableColumns { columns: columns.clone(), factors, along: None });
-            for parameter in 0..change.width() - columns.len() {
-                let factors = t_s().map(|t_s| profile.derivatives(t_s)[parameter]).collect();
-                let along = Some(change.half.clone());
-                variable.push(VariableColumns { columns: columns.clone(), factors, along });
-            }
-        }
-        self.columns.linearize(&variable)
+    /// Columns of the amounts of a change, then, if its half is given, of the parameters of its profile.
+    fn variable(
+        &self,
+        ColumnChange { profile, columns }: &ColumnChange,
+        half: Option<&DVector<f64>>,
+    ) -> Vec<VariableColumns> {
+        let t_s = || self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
+        let columns = |factors: Vec<f64>, along: Option<&DVector<f64>>| VariableColumns {
+            columns: columns.clone(),
+            factors,
+            along: along.cloned(),
+        };
+        let parameters = half.map_or(0, |_| profile.derivatives(0.0).len());
+        let amounts = columns(t_s().map(|t_s| profile.factor(t_s)).collect(), None);
+        let of_profile = (0..parameters).map(|parameter| {
+            columns(t_s().map(|t_s| profile.derivatives(t_s)[parameter]).collect(), half)
+        });
+        std::iter::once(amounts).chain(of_profile).collect()
     }
 
-    /// The likeliest changes in addition to these, of each kind of profile. Their scores are too close if other changes are
-    /// still in the residual.
-    fn next_changes(&self, changes: &[Change], linear: &Linear, kind: ChangeKind) -> Vec<Change> {
-        const MIN_RELATIVE_SCORE: f64 = 0.5;
+    fn linearize(&self, changes: &[(&Change, ColumnChange)]) -> Linear {
+        let variable = changes.iter().flat_map(|(change, seen)| {
+            self.variable(seen, change.has_amount().then_some(&change.half))
+        });
+        self.columns.linearize(&variable.collect::<Vec<_>>())
+    }
+
+    /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
+    /// the latency, is likelier.
+    fn next_change(
+        &self,
+        changes: &[Change],
+        linear: &Linear,
+        kind: ChangeKind,
+    ) -> Option<(Change, f64)> {
         if !has_slow_residual(self.found) {
-            return Vec::new();
+            return None;
         }
         let seen: Vec<ColumnChange> = changes.iter().filter_map(|it| self.seen(it)).collect();
+        let likeliest =
+            |weights: &[Weight]| likeliest_change(&self.columns, &seen, (linear, weights), kind);
         let weights = self.columns.local_weights(linear);
-        let next = likeliest_changes(&self.columns, &seen, (linear, &weights), kind);
-        let best = next.iter().map(|it| it.1).fold(0.0, f64::max);
-        // A likelier one of the latency.
-        if next.iter().any(|(it, score)| *score == best && it.columns.start == LATENCY) {
-            return Vec::new();
+        let (mut next, mut score) = likeliest(&weights)?;
+        if kind.with_drifts {
+            // The shape of a large change shows in the noise beside it.
+            let beside = self.variable(&next, None);
+            let weights = self.columns.local_weights(&self.columns.linearize(&beside));
+            (next, score) = likeliest(&weights)?;
         }
-        let close = next.into_iter().filter(|(_, score)| *score > MIN_RELATIVE_SCORE * best);
-        close.filter_map(|(it, _)| self.change(it)).collect()
+        Some((self.change(next)?, score))
     }
 
     /// Removes these changes of frames and radial scales from a corrected pose. `constant` are twists of the reference and
@@ -471,7 +502,8 @@ impl Equations {
         let step = normal.step(&DVector::zeros(all.len()), &all);
         let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
         let of_profiles = changes.iter().map(|change| change.profile.parameters()).sum::<usize>();
-        -normal.cost_after(&step) - price(normal.independent) * (parameters + of_profiles) as f64
+        let price = price(normal.independent) * (parameters + of_profiles) as f64;
+        -normal.cost_after(&step) - price - changes.iter().map(Change::prior_cost).sum::<f64>()
     }
 }
 
@@ -605,12 +637,6 @@ struct Fitted {
 }
 
 impl Fitted {
-    fn of(candidate: Candidate, streams: &[Stream]) -> Self {
-        let steady = candidate.steady(streams);
-        let equations = Equations::new(&steady, &candidate.changes, None);
-        Self::new(candidate, &steady, &equations)
-    }
-
     /// Samples at a step do not count: their part of it is unknown.
     fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
         let mut sigma_m = 0.0;
@@ -650,35 +676,25 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
         if count == MAX_CHANGES * streams.len() {
             break;
         }
-        // The joint states show a lost zero, and not a turn of the tool.
-        let is_last = |change: &Change| {
-            let is_last = |stream: &Stream| {
-                stream.seen(change).is_none_or(|it| it.columns.start == stream.columns.last_zero())
-            };
-            change.subject.stream().is_none() && streams.iter().all(is_last)
-        };
         let next = |(stream, equations): (&Stream, &StreamEquations)| {
-            stream.next_changes(&current.changes, &equations.linear, kind)
+            stream.next_change(&current.changes, &equations.linear, kind)
         };
-        let next = steady.iter().zip(&equations.streams).flat_map(next);
-        let next = next.filter_map(|mut next| {
-            let is_recorded = jumps.date(&mut next);
-            if !is_recorded && is_last(&next) {
-                return None;
-            }
-            let mut more = current.clone();
-            more.changes.push(next);
-            let known = found.iter().find(|it| it.candidate.has_changes_of(&more));
-            Some(known.map_or_else(|| more.fitted(streams), |known| known.candidate.clone()))
-        });
-        let next: Vec<Fitted> = next.map(|next| Fitted::of(next, streams)).collect();
-        let Some(smallest) = next.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m)) else {
+        let next = steady.iter().zip(&equations.streams).filter_map(next);
+        let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        let is_recorded = jumps.date(&mut next);
+        // The joint states show a lost zero, and not a turn of the tool.
+        let is_last = |stream: &Stream| {
+            stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
+        };
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
             break;
+        }
+        current.changes.push(next);
+        let known = found.iter().find(|it| it.candidate.has_changes_of(&current));
+        current = match known {
+            Some(known) => known.candidate.clone(),
+            None => current.fitted(streams),
         };
-        let noise = smallest.weights.clone();
-        let next = next.into_iter().map(|it| it.candidate);
-        let Some((likeliest, _)) = likeliest(next, streams, &noise) else { break };
-        current = likeliest;
     }
 }
 
@@ -962,7 +978,6 @@ pub(crate) fn diagnose_with_cause_changes(
     if !streams.iter().any(|stream| has_slow_residual(stream.found)) {
         return None;
     }
-    // One at a time, steps of several joints look like a frame, and a frame that returns looks like a joint.
     let jumps = RecordedJumps::new(run);
     let mut found = Vec::new();
     ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));

@@ -3,6 +3,9 @@
 use super::Course;
 use super::jumps::Jump;
 
+/// Parts of the run between the ends of coarse ramps, and of the range of time constants.
+const COARSE_PARTS: u32 = 10;
+
 /// How a change of a cause depends on time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Profile {
@@ -29,18 +32,35 @@ impl Shape {
     /// Faster changes are steps, slower ones ramps.
     const LN_TIME_CONSTANTS: [f64; 2] = [-3.5, 0.5];
 
-    /// Coarse shapes of each kind, between which the others are found by [`Profile::stepped`].
-    pub fn coarse() -> [Vec<Self>; 3] {
-        const PARTS: u32 = 10;
-        let part = |at: u32| f64::from(at) / f64::from(PARTS);
-        let ends = (1..PARTS).flat_map(|from| (from + 1..PARTS).map(move |to| (from, to)));
-        let ramps = ends.map(|(from, to)| Self::Ramp { from: part(from), to: part(to) });
+    /// Ramps within the run and changes that settle, between which the others are found by [`Self::neighbours`].
+    pub fn coarse() -> impl Iterator<Item = Self> {
+        let part = |at: u32| f64::from(at) / f64::from(COARSE_PARTS);
+        let ends =
+            (1..COARSE_PARTS).flat_map(|from| (from + 1..COARSE_PARTS).map(move |to| (from, to)));
+        let ramps = ends.map(move |(from, to)| Self::Ramp { from: part(from), to: part(to) });
         let [fastest, slowest] = Self::LN_TIME_CONSTANTS;
-        let settling = (0..=PARTS).map(|at| {
+        let settling = (0..=COARSE_PARTS).map(move |at| {
             let ln_time_constant = fastest + part(at) * (slowest - fastest);
             Self::Settling { ln_time_constant }
         });
-        [vec![Self::THROUGHOUT], ramps.collect(), settling.collect()]
+        ramps.chain(settling)
+    }
+
+    /// With each parameter changed by this part of the distance between coarse shapes.
+    pub fn neighbours(mut self, part: f64) -> impl Iterator<Item = Self> {
+        let [fastest, slowest] = Self::LN_TIME_CONSTANTS;
+        let spacing = match self {
+            Self::Ramp { .. } => 1.0,
+            Self::Settling { .. } => slowest - fastest,
+        } / f64::from(COARSE_PARTS);
+        let parameters = self.parameters().len();
+        (0..parameters).flat_map(move |at| {
+            [-part, part].map(|by| {
+                let mut step = vec![0.0; parameters];
+                step[at] = by * spacing;
+                self.stepped(&step)
+            })
+        })
     }
 
     /// From 0 to 1, at a part of the run.

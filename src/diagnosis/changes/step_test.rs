@@ -38,15 +38,13 @@ pub(super) struct ColumnChange {
 
 /// Causes that may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ChangeKind {
+pub(super) enum Causes {
     Any,
     Frames,
     Zeros,
 }
 
-impl ChangeKind {
-    pub const ALL: [Self; 3] = [Self::Any, Self::Frames, Self::Zeros];
-
+impl Causes {
     /// The last joint's zero competes with those of other joints, not with the tool, which it equals.
     fn contains(self, cause: &Range<usize>, columns: &CauseColumns) -> bool {
         match self {
@@ -55,6 +53,30 @@ impl ChangeKind {
             Self::Zeros => cause.start >= ZEROS,
         }
     }
+}
+
+/// Changes that a search considers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ChangeKind {
+    pub causes: Causes,
+    /// Whether also gradual changes, not only steps.
+    pub with_drifts: bool,
+}
+
+impl ChangeKind {
+    const fn new(causes: Causes, with_drifts: bool) -> Self {
+        Self { causes, with_drifts }
+    }
+
+    /// One at a time, steps of several joints look like a frame, a frame that returns looks like a joint, and several steps
+    /// look like a ramp.
+    pub const ALL: [Self; 5] = [
+        Self::new(Causes::Any, false),
+        Self::new(Causes::Frames, false),
+        Self::new(Causes::Zeros, false),
+        Self::new(Causes::Any, true),
+        Self::new(Causes::Zeros, true),
+    ];
 }
 
 /// A change with its score: the reduction of the cost beyond constant causes, minus the price of the change.
@@ -217,16 +239,29 @@ impl<'a> ScoreTest<'a> {
         scored.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The likeliest change with one of these shapes.
-    fn likeliest_drift(&self, shapes: Vec<Shape>) -> Option<Scored> {
+    fn scored(&self, shape: Shape) -> Option<(Shape, Scored)> {
         let run_s = [*self.t_s.first()?, *self.t_s.last()?];
-        let scored = |shape: Shape| {
-            let profile = Profile::Drift { run_s, shape };
-            let (of, score) = self.likeliest(|t_s| profile.factor(t_s), profile.parameters())?;
-            Some((ColumnChange { profile, columns: self.causes[of].clone() }, score))
-        };
-        let all = shapes.into_iter().filter_map(scored);
-        all.max_by(|a, b| a.1.total_cmp(&b.1))
+        let profile = Profile::Drift { run_s, shape };
+        let (of, score) = self.likeliest(|t_s| profile.factor(t_s), profile.parameters())?;
+        Some((shape, (ColumnChange { profile, columns: self.causes[of].clone() }, score)))
+    }
+
+    /// The likeliest gradual change.
+    fn likeliest_drift(&self) -> Option<Scored> {
+        let likelier = |a: &(Shape, Scored), b: &(Shape, Scored)| a.1.1.total_cmp(&b.1.1);
+        let mut best = Shape::coarse().filter_map(|shape| self.scored(shape)).max_by(likelier)?;
+        /// Of the distance between coarse shapes; the fit of the amounts refines the rest.
+        const SMALLEST_PART: f64 = 0.2;
+        let mut part = 0.5;
+        while part > SMALLEST_PART {
+            let near = best.0.neighbours(part).filter_map(|shape| self.scored(shape));
+            match near.max_by(likelier).filter(|near| likelier(near, &best).is_gt()) {
+                Some(near) => best = near,
+                None => part *= 0.5,
+            }
+        }
+        let throughout = self.scored(Shape::THROUGHOUT);
+        throughout.into_iter().chain([best]).max_by(likelier).map(|(_, scored)| scored)
     }
 }
 
@@ -241,19 +276,18 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     zero.is_some_and(|(_, score)| score > 0.0)
 }
 
-/// The likeliest changes of the stream, of each kind of profile, in addition to those found and in the linearisation, if the
-/// likelihood justifies them.
-pub(super) fn likeliest_changes(
+/// The likeliest change of the stream, in addition to those found and in the linearisation, if the likelihood justifies one.
+pub(super) fn likeliest_change(
     columns: &CauseColumns,
     found: &[ColumnChange],
     (linear, weights): (&Linear, &[Weight]),
     kind: ChangeKind,
-) -> Vec<Scored> {
-    let Some(mut test) = ScoreTest::new(columns, linear, weights) else { return Vec::new() };
-    test.causes.retain(|cause| kind.contains(cause, columns));
-    let drifts = Shape::coarse().into_iter().filter_map(|shapes| test.likeliest_drift(shapes));
-    let all = drifts.chain(likeliest_step(&test, found));
-    all.filter(|(_, score)| *score > 0.0).collect()
+) -> Option<Scored> {
+    let mut test = ScoreTest::new(columns, linear, weights)?;
+    test.causes.retain(|cause| kind.causes.contains(cause, columns));
+    let drift = kind.with_drifts.then(|| test.likeliest_drift()).flatten();
+    let all = drift.into_iter().chain(likeliest_step(&test, found));
+    all.filter(|(_, score)| *score > 0.0).max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// The strength of a step is relative to the price of its parameters.
@@ -323,8 +357,7 @@ mod tests {
         let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
-        let all = likeliest_changes(&columns, &[], (&linear, &weights), ChangeKind::Any);
-        all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?.0.profile.step()
+        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::ALL[0])?.0.profile.step()
     }
 
     #[test]

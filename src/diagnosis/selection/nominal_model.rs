@@ -121,21 +121,44 @@ pub(crate) fn noise_beside_links(
     (fit.weights.iter().map(|weight| weight.noise.sigma).collect(), squares)
 }
 
-/// Clock skew of a stream beside link deviations, and whether it is likelier than none. `state` is the stream's.
-pub(crate) fn skew_beside_link_deviations(
+/// Latency and clock skew of a stream beside link deviations.
+#[derive(Clone, Copy)]
+pub(crate) struct Timing {
+    pub latency_s: Measured,
+    /// `None` if it is not free.
+    pub skew: Option<Measured>,
+    /// Whether the skew is likelier than none.
+    pub is_skewed: bool,
+}
+
+/// `state` is the stream's.
+pub(crate) fn timing_beside_link_deviations(
     observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
-) -> Option<(Measured, bool)> {
-    let rows = (0..observations.len()).step_by(observations.len().div_ceil(MAX_SAMPLES).max(1));
-    let frames = link_frames(observations, state, offsets, rows, FreeAlongside::Skew);
+    has_skew: bool,
+) -> Option<Timing> {
+    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
+    let rows = (0..observations.len()).step_by(stride);
+    let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
+    let frames = link_frames(observations, state, offsets, rows, free);
     let fit = LinkFrameChanges::fit_to(&frames, observations, state, LINK_PRIOR_M);
-    let skew = frames.width - 1;
-    let variance = fit.normal.matrix.clone().cholesky()?.inverse()[(skew, skew)];
+    let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
     let dof = (fit.normal.independent - frames.width as f64).max(1.0);
-    let is_likelier = fit.step[skew].powi(2) / variance > price(fit.normal.independent);
-    let value = state.skew + fit.step[skew];
-    Some((Measured { value, std_error: variance.sqrt(), dof }, is_likelier))
+    let measured = |column: usize, before: f64| Measured {
+        value: before + fit.step[column],
+        std_error: covariance[(column, column)].sqrt(),
+        dof,
+    };
+    let latency = 6 * (observations.columns.len() + 1);
+    let skew = latency + 1;
+    let is_likelier =
+        || fit.step[skew].powi(2) / covariance[(skew, skew)] > price(fit.normal.independent);
+    Some(Timing {
+        latency_s: measured(latency, state.latency_s),
+        skew: has_skew.then(|| measured(skew, state.skew)),
+        is_skewed: has_skew && is_likelier(),
+    })
 }
 
 pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
