@@ -119,15 +119,16 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     };
     let by_gain = diagnose_with_gain(run, constant).filter(is_enough);
     let gain_as_compliance = diagnose_gain_as_compliance(run, by_gain.as_ref().unwrap_or(constant));
-    if by_gain.as_ref().is_some_and(is_explained) {
-        return gain_as_compliance.or(by_gain);
-    }
+    let is_gain_explained = by_gain.as_ref().is_some_and(is_explained);
+    let by_gain = by_gain.filter(|_| !is_gain_explained || gain_as_compliance.is_none());
     // Steps may be larger than a small motion, but steps also make the residual of another encoding smaller.
     let is_far = constant.streams.iter().any(PoseDiagnosis::is_far_from_fk);
     let by_steps =
         diagnose_with_cause_changes(run, constant).filter(|it| !is_far || is_explained(it));
-    let by_compliance =
-        gain_as_compliance.or_else(|| diagnose_with_compliance(run, constant, is_distinct));
+    let by_compliance = gain_as_compliance.or_else(|| match is_gain_explained {
+        true => None,
+        false => diagnose_with_compliance(run, constant, is_distinct),
+    });
     let all: Vec<ArmDiagnosis> = by_compliance.into_iter().chain(by_steps).chain(by_gain).collect();
     // Link deviations hide the difference between those they do not explain.
     let is_any_explained = all.iter().any(is_explained);

@@ -21,6 +21,7 @@ use crate::joints::{
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
 use crate::samples::sampling::as_rotations;
+use crate::selection::evidence::log_bayes_factor;
 use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
@@ -111,7 +112,7 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
             diagnose(joints, &corrected, streams, standard, true)
         })
     };
-    if encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+    if encoding.as_ref().map_or(true, JointEncoding::is_as_logged) {
         result = or_standard(result);
     }
     let is_far_from_fk = |result: &EncodingResult| {
@@ -179,10 +180,14 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
         }
     }
     // Where joints hardly move, other encodings fit as well as calibrations.
-    if encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged)
-        && unchanged.is_plausible_for(streams)
-    {
-        (encoding, result) = (Ok(JointEncoding::default()), or_standard(diagnose_as(&as_logged)));
+    if encoding.as_ref().is_ok_and(|it| !it.is_as_logged()) {
+        let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
+        let is_plausible = is_far && unchanged.is_plausible_for(streams);
+        let otherwise = result.into_diagnosis(encoding);
+        let as_logged =
+            or_standard(diagnose_as(&as_logged)).into_diagnosis(Ok(JointEncoding::default()));
+        let is_likelier = !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0;
+        return if is_likelier { otherwise } else { as_logged };
     }
     // If no stream follows FK, the encoding is undetermined.
     if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
