@@ -3,6 +3,9 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+
 use super::{Column, ColumnSettings, Table, names};
 use crate::decode::excerpt;
 use ground::stats::median;
@@ -412,7 +415,8 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     /// In fewer rows, any numbers may increase evenly.
     const MIN_ROWS: usize = 5;
     let none = || {
-        let mut named = table.columns.iter().filter(|column| is_time(&column.name));
+        let is_named = |column: &&Column| column.width <= 2 && is_time(&column.name);
+        let mut named = table.columns.iter().filter(is_named);
         ClockError::NoTimes(match named.next() {
             Some(column) => {
                 format!(
@@ -641,11 +645,36 @@ fn seconds_of_days(column: &Column) -> Option<Column> {
     })
 }
 
+/// Seconds since 1970 of dates and times of day in digits: `20260131235959`.
+fn seconds_of_digits(column: &Column) -> Option<Column> {
+    const FIRST: f64 = 19_700_101_000_000.0;
+    let seconds = |value: f64| -> Option<f64> {
+        if !value.is_finite() {
+            return Some(f64::NAN);
+        }
+        if value < FIRST || value.fract() != 0.0 {
+            return None;
+        }
+        let date = value as i64;
+        let part = |unit: i64| (date / unit % 100) as i8;
+        let year = i16::try_from(date / 10_000_000_000).ok()?;
+        let [month, day, hour, minute] = [100_000_000, 1_000_000, 10_000, 100].map(part);
+        let date = DateTime::new(year, month, day, hour, minute, part(1), 0).ok()?;
+        Some(date.to_zoned(TimeZone::UTC).ok()?.timestamp().as_second() as f64)
+    };
+    let values = column.values.iter().map(|value| seconds(*value)).collect::<Option<_>>()?;
+    Some(Column { values, billionths: Vec::new(), ..column.clone() })
+}
+
 /// The other rows may be those of other streams.
 fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
-    if let Some(seconds) = seconds_of_days(column).filter(|_| unit_s.is_none()) {
+    let of_dates = || {
+        let days = seconds_of_days(column).map(|own| (own, "in days"));
+        days.or_else(|| Some((seconds_of_digits(column)?, "in digits")))
+    };
+    if let Some((seconds, form)) = unit_s.is_none().then(of_dates).flatten() {
         let clock = from_sparse_column(at, &seconds, Some(1.0))?;
-        let description = clock.description.replacen("', s", "', dates in days", 1);
+        let description = clock.description.replacen("', s", &format!("', dates {form}"), 1);
         return Some(Clock { description, unit_s: None, ..clock });
     }
     let values = &column.values;

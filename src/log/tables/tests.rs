@@ -241,6 +241,23 @@ fn dates_in_days_are_seconds_since_1970() {
 }
 
 #[test]
+fn dates_in_digits_are_seconds_since_1970() {
+    let row = |row: i32| format!("202601312359{:02},0.{row:02},1,2,3,4,5\n", 10 + row);
+    let text: String = (0..50).map(row).collect();
+    let log = plain(format!("timestamp,q1,q2,q3,q4,q5,q6\n{text}").as_bytes());
+    let own = stamps(&log, "q");
+    let first = 1_769_903_950 * NANOS_PER_SECOND;
+    assert_eq!([own[0], own[49]], [first, first + 49 * NANOS_PER_SECOND]);
+    // A count of nanoseconds of the same size is none.
+    let row =
+        |row: i64| format!("{},0.{row:02},1,2,3,4,5\n", 20_269_999_999_990 + 10_000_000 * row);
+    let text: String = (0..50).map(row).collect();
+    let log = plain(format!("time_ns,q1,q2,q3,q4,q5,q6\n{text}").as_bytes());
+    let own = stamps(&log, "q");
+    assert_eq!(own[49] - own[0], 490_000_000);
+}
+
+#[test]
 fn units_in_names_may_differ_within_a_row() {
     let names = "t,J1 [deg],J2 [deg],J3 [rad],J4 [rad],x [mm],y [mm],z [m],qx,qy,qz,qw";
     let row = |row: i32| {
