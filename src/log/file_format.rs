@@ -115,7 +115,9 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
             rtde::FirstLine::Other if tables::is_list_of_times(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Times);
             }
-            rtde::FirstLine::Other if tables::is_yaml_list(bytes) => {
+            rtde::FirstLine::Other
+                if tables::is_yaml_list(bytes) || tables::is_nested_yaml(bytes) =>
+            {
                 return FileFormat::Table(tables::TableFormat::Yaml);
             }
             rtde::FirstLine::Other if tables::is_table(bytes) => {

@@ -67,7 +67,7 @@ pub(super) use self::meaning::LayoutColumns;
 pub use self::names::COMMAND_WORDS;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
 pub(super) use self::records::{
-    has_times as has_record_times, is_yaml_list, looks_like_json, looks_like_yaml,
+    has_times as has_record_times, is_nested_yaml, is_yaml_list, looks_like_json, looks_like_yaml,
 };
 pub(super) use self::rlds::metadata_files as declared_beside;
 pub(crate) use self::row_layout::{LayoutGroup, LayoutTime};

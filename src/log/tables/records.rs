@@ -67,6 +67,30 @@ pub(crate) fn is_yaml_list(bytes: &[u8]) -> bool {
     matches!(item.trim_ascii_start().first(), Some(b'[' | b'{'))
 }
 
+/// Whether most lines of a text are keys or items of YAML, some of them indented. Its lists in brackets may look like
+/// rows of a table.
+pub(crate) fn is_nested_yaml(bytes: &[u8]) -> bool {
+    const LINES: usize = 64;
+    const HEAD_BYTES: usize = 1 << 14;
+    let head = &bytes[..bytes.len().min(HEAD_BYTES)];
+    let text = String::from_utf8_lossy(trimmed(head));
+    let (mut count, mut keys, mut indented) = (0, 0, 0);
+    for line in text.lines().filter(|line| !line.trim().is_empty()).take(LINES) {
+        let is_indented = line.starts_with(' ');
+        let line = line.trim_start().trim_start_matches("- ");
+        let is_key = line.split_once(':').is_some_and(|(key, rest)| {
+            let is_name = |c: char| c.is_alphanumeric() || "_-./".contains(c);
+            !key.is_empty()
+                && key.chars().all(is_name)
+                && (rest.is_empty() || rest.starts_with(' '))
+        });
+        count += 1;
+        keys += usize::from(is_key);
+        indented += usize::from(is_key && is_indented);
+    }
+    indented > 0 && 2 * keys > count && looks_like_yaml(bytes)
+}
+
 /// Whether JSON lines that start with `head` have times: they may be a log.
 pub(crate) fn has_times(head: &[u8]) -> bool {
     let line = trimmed(head).split(|byte| *byte == b'\n').next().unwrap_or_default();
@@ -298,8 +322,8 @@ fn read_columns(
 enum Shape<'a> {
     /// One record for each key.
     ByKey(Vec<(&'a str, &'a Value)>),
-    /// A list of records under one of the keys.
-    List(&'a [Value]),
+    /// Lists of records with the same keys, in any depth.
+    Lists(Vec<&'a [Value]>),
     /// A list for each column, of the same length.
     Columns(Vec<(String, &'a [Value])>),
     /// A single record.
@@ -321,9 +345,12 @@ impl<'a> Shape<'a> {
         }
         let mut lists: Vec<(String, &[Value])> = Vec::new();
         collect_lists(members, "", 0, &mut lists);
-        let of_records = |list: &&(String, &[Value])| list.1.iter().any(Value::is_object);
-        if let Some((_, list)) = lists.iter().filter(of_records).max_by_key(|list| list.1.len()) {
-            return Self::List(list);
+        let of_records = |list: &&[Value]| list.iter().any(Value::is_object);
+        let of_records = || lists.iter().map(|(_, list)| *list).filter(of_records);
+        if let Some(longest) = of_records().max_by_key(|list| list.len()) {
+            let keys = |list: &'a [Value]| list.iter().find_map(keys);
+            let own = keys(longest);
+            return Self::Lists(of_records().filter(|list| keys(list) == own).collect());
         }
         // A vector in a single record has as many numbers as an arm has joints.
         let longest = lists.iter().map(|list| list.1.len()).max().unwrap_or(0);
@@ -390,7 +417,9 @@ impl Records {
                 Shape::ByKey(mut rows) => {
                     rows.drain(..).try_for_each(|(key, row)| self.push_with_key(key, row, memory))
                 }
-                Shape::List(items) => items.iter().try_for_each(|item| self.push(item, memory)),
+                Shape::Lists(lists) => {
+                    lists.into_iter().flatten().try_for_each(|item| self.push(item, memory))
+                }
                 Shape::Columns(_) | Shape::One => self.push(document, memory),
             },
             _ => Ok(()),

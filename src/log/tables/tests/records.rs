@@ -141,6 +141,28 @@ fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
 }
 
 #[test]
+fn nested_lists_of_the_same_records_are_one_table() {
+    let numbers = |row: usize| q(row).iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+    let record = |row: usize| {
+        format!(
+            "      - time: {}\n        joint_positions: [{}]\n",
+            0.01 * row as f64,
+            numbers(row).replacen(", ", ",\n          ", 2)
+        )
+    };
+    let list = |name: &str, rows: std::ops::Range<usize>| {
+        format!("    {name}:\n{}", rows.map(record).collect::<String>())
+    };
+    let yaml = format!(
+        "names: [a, b,\n  c]\nheights:\n  1.98:\n{}{}  2.48:\n    other:\n      - id: 1\n{}",
+        list("near", 0..15),
+        list("far", 15..20),
+        list("near", 20..ROWS)
+    );
+    assert_has_joints(yaml.as_bytes(), "joint_positions", "yaml");
+}
+
+#[test]
 fn lists_in_text_tables_are_columns() {
     let row = |row: usize| format!("{},\"{:?}\",on\n", 0.01 * row as f64, q(row));
     let text =
