@@ -8,7 +8,7 @@ use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
 use super::tables::{LayoutGroup, LayoutTime, TableFormat};
-use super::{ColumnSettings, LogError, RowLayout, local};
+use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
     AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows, xyzw_from_rotation,
 };
@@ -87,7 +87,7 @@ pub fn read_calibration_table(
 ) -> Result<Option<CalibrationTable>, LogError> {
     let Some(bytes) = read_bytes(path)? else { return Ok(None) };
     let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
-    match (layout, parse_numbers(&bytes)) {
+    match (layout, parse_numbers(&bytes, layout)) {
         (_, None) => Ok(None),
         (None, Some(numbers)) => Ok(by_names(numbers)),
         (Some(layout), Some(numbers)) => by_layout(numbers, layout)
@@ -100,7 +100,7 @@ pub fn read_calibration_table(
 /// # Errors
 /// If the file cannot be opened.
 pub fn read_number_table(path: &Path) -> Result<Option<NumberTable>, LogError> {
-    Ok(read_bytes(path)?.and_then(|bytes| parse_numbers(&bytes)))
+    Ok(read_bytes(path)?.and_then(|bytes| parse_numbers(&bytes, None)))
 }
 
 fn read_bytes(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
@@ -186,14 +186,18 @@ fn append_quaternions(numbers: &mut NumberTable, matrix: &[usize]) -> Result<[us
     Ok([0, 1, 2].map(|axis| element(axis, 3)))
 }
 
-fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
+/// A layout that ignores the times makes a log a table of configurations. Cells that it ignores may be text.
+fn parse_numbers(bytes: &[u8], layout: Option<&RowLayout>) -> Option<NumberTable> {
+    let meanings = layout.map(RowLayout::meanings).unwrap_or_default();
+    let is_ignored = |at: usize| meanings.get(at) == Some(&Meaning::Ignored);
+    let may_have_times = layout.is_none() || meanings.contains(&Meaning::Open);
     let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
         .map_or_else(|error| error.error_len().is_none(), |_| true);
     let is_of_records = matches!(
         file_format::detect_format(bytes),
         FileFormat::Table(TableFormat::Json | TableFormat::Yaml)
     );
-    let is_log = is_of_records || super::looks_like_log(bytes);
+    let is_log = is_of_records || (may_have_times && super::looks_like_log(bytes));
     if !is_text || bytes.len() as u64 > MAX_BYTES || is_log {
         return None;
     }
@@ -229,12 +233,16 @@ fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
         let cells: Vec<&str> = record.iter().filter(is_cell).collect();
         let is_first = width.is_none();
         let width = *width.get_or_insert(cells.len());
-        if is_first && cells.iter().any(|cell| number(cell).is_none()) {
+        let is_text = |(at, cell): (usize, &&str)| !is_ignored(at) && number(cell).is_none();
+        if is_first && cells.iter().enumerate().any(is_text) {
             table.names = cells.into_iter().map(str::to_owned).collect();
             continue;
         }
-        let finite = |cell: &str| number(cell).filter(|value| value.is_finite());
-        match cells.iter().map(|cell| finite(cell)).collect::<Option<Vec<f64>>>() {
+        let finite = |(at, cell): (usize, &&str)| match number(cell) {
+            Some(value) if value.is_finite() => Some(value),
+            _ => is_ignored(at).then_some(0.0),
+        };
+        match cells.iter().enumerate().map(finite).collect::<Option<Vec<f64>>>() {
             Some(row) if row.len() == width => table.rows.push(row),
             _ => {
                 let line = record.position().map(|position| position.line() as usize);
@@ -342,12 +350,12 @@ mod tests {
     }
 
     fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
-        parse_numbers(bytes).and_then(by_names)
+        parse_numbers(bytes, None).and_then(by_names)
     }
 
     #[test]
     fn a_layout_names_the_columns_of_a_table_without_names() {
-        let numbers = || parse_numbers(b"180;90;1000;0;2000;7;1;0;0;0\n").unwrap();
+        let numbers = || parse_numbers(b"180;90;1000;0;2000;7;1;0;0;0\n", None).unwrap();
         let read = |layout: &str| by_layout(numbers(), &layout.parse().unwrap());
         let table = read("q[2]:deg,xyz:mm,_,quat:wxyz").unwrap().unwrap();
         assert_eq!(table.positions, [[2, 3, 4]]);
@@ -357,7 +365,7 @@ mod tests {
         assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
         assert_eq!(table.numbers.joints(&names(&["a", "b", "c"])), None);
         assert_eq!(read("q[2],_[8]"), Ok(None));
-        let matrix = parse_numbers(b"1;2;0;-1;0;10;1;0;0;20;0;0;1;30\n").unwrap();
+        let matrix = parse_numbers(b"1;2;0;-1;0;10;1;0;0;20;0;0;1;30\n", None).unwrap();
         let table = by_layout(matrix, &"q[2],matrix[12]:mm".parse().unwrap()).unwrap().unwrap();
         let (row, [p]) = (&table.numbers.rows[0], table.positions.as_slice()) else { panic!() };
         assert_eq!(p.map(|at| row[at]), [0.01, 0.02, 0.03]);
@@ -368,6 +376,22 @@ mod tests {
         assert!(line.contains("needs rotations"), "{line}");
         let line = read("q[2],xyz").unwrap_err();
         assert!(line.contains("--columns names 5 columns, but its rows have 10"), "{line}");
+    }
+
+    #[test]
+    fn a_layout_without_times_makes_rows_configurations() {
+        let text = b"Timestamp;a;b;Target;X;Y;Z\n7;1,5;2;TMC;1;2;3\n7;2;2,5;;4;5;6\n";
+        let read = |layout: &str| {
+            let layout: RowLayout = layout.parse().unwrap();
+            let numbers = parse_numbers(text, Some(&layout))?;
+            by_layout(numbers, &layout).unwrap()
+        };
+        let rows = read("_,q[2],_,xyz:mm").unwrap().numbers.rows;
+        assert_eq!(
+            rows,
+            [[7.0, 1.5, 2.0, 0.0, 1e-3, 2e-3, 3e-3], [7.0, 2.0, 2.5, 0.0, 4e-3, 5e-3, 6e-3]]
+        );
+        assert_eq!(read("?,q[2],_,xyz:mm"), None);
     }
 
     #[test]
@@ -398,15 +422,15 @@ mod tests {
     #[test]
     fn joint_positions_need_no_names() {
         for text in ["1,2e-1\n\n3,4\n", "# q\n1; 0,2\n3;4\n", "1  0.2\n3   4\n5 nan\n"] {
-            let table = parse_numbers(text.as_bytes()).unwrap();
+            let table = parse_numbers(text.as_bytes(), None).unwrap();
             assert_eq!(table.rows, [[1.0, 0.2], [3.0, 4.0]], "{text:?}");
             assert_eq!(table.joints(&names(&["a", "b"])), Some(vec![0, 1]));
             assert_eq!(table.joints(&names(&["a", "b", "c"])), None);
         }
-        let table = parse_numbers(b"nan,1\n2,3\n").unwrap();
+        let table = parse_numbers(b"nan,1\n2,3\n", None).unwrap();
         assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [1].as_slice()));
         assert_eq!(
-            parse_numbers(b"q1,q2\n1,2\n").unwrap().joints(&names(&["a", "b"])),
+            parse_numbers(b"q1,q2\n1,2\n", None).unwrap().joints(&names(&["a", "b"])),
             Some(vec![0, 1])
         );
     }

@@ -344,7 +344,7 @@ impl RowLayout {
     }
 
     /// Meaning of each number.
-    pub(super) fn meanings(&self) -> Vec<Meaning> {
+    pub(crate) fn meanings(&self) -> Vec<Meaning> {
         self.items.iter().flat_map(|item| std::iter::repeat_n(item.meaning, item.count)).collect()
     }
 
