@@ -35,6 +35,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
         progress.set_total(inputs.iter().map(LogInput::bytes).sum());
     }
     let mut files = Vec::with_capacity(inputs.len());
+    let mut first_skipped = None;
     for input in &inputs {
         let mut reading = FileReader {
             path: &input.path,
@@ -58,17 +59,16 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
                 files.push(file);
             }
             // One unreadable file of a recording does not prevent reading the others.
-            Err(LogError::Columns { path, what } | LogError::NoTimes { path, what, .. })
-                if input.in_bag && inputs.len() > 1 =>
-            {
-                match tables.names_signal(&path) {
-                    true => losses.add_unplaced(Extent::Messages, None, what),
-                    false => intake.note(&path, format!("was not read: {what}")),
+            Err(error) if input.in_bag && inputs.len() > 1 => match &error {
+                LogError::Columns { path, what } | LogError::NoTimes { path, what, .. } => {
+                    match tables.names_signal(path) {
+                        true => losses.add_unplaced(Extent::Messages, None, what.clone()),
+                        false => intake.note(path, format!("was not read: {what}")),
+                    }
+                    first_skipped.get_or_insert(error);
                 }
-            }
-            Err(error) if input.in_bag && inputs.len() > 1 => {
-                losses.add_unplaced(Extent::Messages, input.recorded, error.to_string());
-            }
+                _ => losses.add_unplaced(Extent::Messages, input.recorded, error.to_string()),
+            },
             Err(error) => return Err(error),
         }
         intake.losses(losses);
@@ -85,7 +85,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     tables.finish(&mut intake);
     let log = intake.finish(files);
     if log.messages == 0 {
-        return Err(LogError::no_messages(&log));
+        return Err(first_skipped.unwrap_or_else(|| LogError::no_messages(&log)));
     }
     Ok(log)
 }

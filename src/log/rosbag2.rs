@@ -184,7 +184,13 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
         };
     }
     let Some(first) = paths.first() else {
-        return Err(if contains_logs(folder) { runs() } else { refuse("without log files") });
+        let files = files_in(folder).unwrap_or_default();
+        return match files.into_iter().filter(|path| is_bare_table(path)).collect::<Vec<_>>() {
+            only if only.len() == 1 => Ok(only.into_iter().map(LogInput::bag_file).collect()),
+            _ if contains_logs(folder) => Err(runs()),
+            none if none.is_empty() => Err(refuse("without log files")),
+            _ => Err(refuse("of tables without times, whose names show no joints or poses")),
+        };
     };
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
         return Err(runs());

@@ -138,6 +138,7 @@ mod tests {
         for (names, expected) in [
             (vec!["log_q_actual.csv", "log_q_target.csv", "log_tool_vector.csv"], Some(true)),
             (vec!["left_joints.csv", "right_joints.csv"], Some(true)),
+            (vec!["dataQ.txt", "dataQref.txt", "dataDQref.txt"], Some(true)),
             (vec!["joints_1.csv", "joints_2.csv"], Some(false)),
             (vec!["pick_joints.csv", "place_joints.csv"], Some(false)),
             (vec!["position.csv", "tcp_pose.csv"], Some(true)),

@@ -118,6 +118,25 @@ fn arrays_of_numpy_take_their_times_from_another_array() {
 }
 
 #[test]
+fn a_folder_of_tables_without_times_says_so() {
+    let row = |at: u32| vec![format!("{:.4}", (0.1 * f64::from(at)).sin()); 6].join(",") + "\n";
+    let text: String = (1..60).map(row).collect();
+    for (names, expected) in [
+        (["joint_angles.csv", "joint_torques.csv"].as_slice(), "no column holds times"),
+        (&["run.csv"], "no column holds times"),
+        (&["a.csv", "b.csv"], "a directory of tables without times"),
+    ] {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in names {
+            fs::write(folder.path().join(name), &text).expect("a file");
+        }
+        let refused = open(&[folder.path().to_owned()], &ReadOptions::default());
+        let line = refused.expect_err("refused").to_string();
+        assert!(line.contains(expected), "{line}");
+    }
+}
+
+#[test]
 fn a_folder_of_signals_is_one_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a file");
