@@ -291,6 +291,22 @@ fn gaps_of_poses_at_rest_pass() {
     );
 }
 
+#[test]
+fn points_measured_at_rest_may_pause() {
+    let report = Log::modified(|log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        (log.run.duration_s, log.run.pose.timing.rate_hz) = (120.0, 0.5);
+        log.edit = Some(|messages| {
+            rename_topic(messages, POSE, TRACKER);
+            drop_messages(messages, TRACKER, 40.0, 80.0);
+        });
+    })
+    .report();
+    let rows = report.checks.iter().filter(|row| row.code == "TIM002");
+    let of_tracker = rows.filter(|row| row.subject.label() == TRACKER);
+    assert_eq!(of_tracker.map(|row| row.status).collect::<Vec<_>>(), [Status::Skipped]);
+}
+
 /// Resets the clock of all streams to the start after `after_s`, like a simulator reset.
 fn restart_clock(messages: &mut [Message], after_s: f64) {
     shift_stamps(messages, "", after_s, f64::MAX, -after_s);

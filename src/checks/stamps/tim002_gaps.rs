@@ -37,7 +37,8 @@ rule! {
     /// ## When it misleads
     /// A stream published on change is silent while the arm rests: not a gap. Without a fixed period, only
     /// sequence numbers show losses. TIM006 reports a lower rate over seconds. Commands and camera
-    /// detections are not judged. A stream without an assigned role is judged only if it is periodic.
+    /// detections are not judged. A stream without an assigned role is judged only if it is periodic. Streams
+    /// with less than one sample per second are not judged: they are measurements at rest.
     TIM002 {
         limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
@@ -125,8 +126,11 @@ fn gap_bounds(rhythm: &StreamEvidence<RhythmEvidence>) -> Vec<(Stamp, Stamp)> {
 
 /// Parts expected to be periodic; for a stream without a role, those that are.
 fn judged_parts(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
+    /// Slower samples are measurements at rest, such as those of a laser tracker, which may pause.
+    const MAX_PERIOD_S: f64 = 1.0;
     let is_known = rhythm.due.is_expected();
-    rhythm.required_parts().filter(move |part| is_known || part.is_regular)
+    let is_sampled = |part: &Cadence| part.period_s.is_none_or(|own| own <= MAX_PERIOD_S);
+    rhythm.required_parts().filter(move |part| is_sampled(part) && (is_known || part.is_regular))
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {
@@ -163,7 +167,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let outcome = if rhythm.required_parts().next().is_none() {
         Outcome::Skipped("no robot defines which of its transforms are needed".to_owned())
     } else if judged_parts(rhythm).next().is_none() {
-        let why = "no fixed period, and none is expected";
+        let why = "no fixed period, and none is expected, or less than one sample per second";
         Outcome::Skipped(why.to_owned())
     } else if let Some(gap) = silent(None) {
         let gap = shown(gap);

@@ -85,13 +85,18 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         .missing_topics
         .iter()
         .map(|(subject, place)| judge_missing(subject.clone(), place));
-    let empty = missing.chain(case.evidence.empty_streams.iter().map(judge_empty));
+    let empty = case.evidence.empty_streams.iter().map(|empty| judge_empty(case, empty));
+    let empty = missing.chain(empty);
     let expected = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
     empty.chain(expected.map(|rhythm| judge(case, rhythm))).collect()
 }
 
-fn judge_empty(empty: &EmptyStreamEvidence) -> SubjectResult {
+fn judge_empty(case: &Case, empty: &EmptyStreamEvidence) -> SubjectResult {
     let topic = empty.subject.label();
+    if empty.messages == 0 && case.evidence.lost_messages() {
+        let why = "it is empty, but messages of the log itself are lost (ING001); record it again";
+        return SubjectResult::new(empty.subject.clone(), Outcome::Inconclusive(why.to_owned()));
+    }
     let (message, fix) = match empty.messages {
         0 => (
             "topic recorded but empty".to_owned(),
