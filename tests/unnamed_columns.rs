@@ -200,6 +200,17 @@ fn column_names_that_contradict_the_numbers_are_a_finding() {
         let (found, message) = status(poses, &["t", "q1", "q2", "q3", "q4", "q5", "q6", "q7"]);
         assert!(found == Status::Fail && message.contains("unit quaternion"), "{message}");
     }
+    // A file of poses that is named after the joint that moves.
+    let path = folder.path().join("joint3.csv");
+    let row = |row: &Vec<f64>| row.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+    let text: Vec<String> = poses.iter().map(row).collect();
+    fs::write(&path, text.join("\n")).expect("a file");
+    let found = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let error = found.error.as_ref().map(|error| error.what.clone()).unwrap_or_default();
+    assert!(
+        found.findings.is_empty() && error.contains("no columns hold joint positions"),
+        "{error}"
+    );
     // Degrees in columns named as rad.
     let degrees = Table { joint_factor: 1_f64.to_degrees(), poses: false, ..CLEAN }.rows();
     let names = ["t", "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad"];

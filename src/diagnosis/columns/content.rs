@@ -51,6 +51,19 @@ impl NumericTable {
         self.shift_of(&[self.minus(column, mean)], &[self.minus(other, mean - offset)])
     }
 
+    /// Whether four adjacent columns are a unit quaternion in each row, and two of them move.
+    pub fn hold_quaternion(&self, columns: &[usize]) -> bool {
+        const MAX_NORM_DEVIATION: f64 = 1e-3;
+        const MIN_MOVING: usize = 2;
+        columns.windows(4).any(|four| {
+            let norm_squared =
+                |row: usize| four.iter().map(|&at| self.columns[at][row].powi(2)).sum::<f64>();
+            let is_unit = |row: usize| (norm_squared(row) - 1.0).abs() < MAX_NORM_DEVIATION;
+            four.iter().filter(|&&at| self.moves(at)).count() >= MIN_MOVING
+                && (0..self.t_s.len()).all(is_unit)
+        })
+    }
+
     fn mean(&self, column: usize) -> f64 {
         self.columns[column].iter().sum::<f64>() / self.t_s.len() as f64
     }

@@ -5,13 +5,19 @@ use crate::run::joint_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns};
 
 /// Finds joint topics that hold a unit quaternion in every row, as a pose does. Makes them unnamed numbers
-/// and reports the contradiction.
+/// and reports the contradiction, unless the file named the columns.
 pub(super) fn report_contradictions(log: &mut Log) {
     let Some(file) = log.files.first().map(|file| file.path.clone()) else { return };
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut found = Vec::new();
     for topic in log.topics.iter_mut().filter(|topic| topic.encoding == TABLE) {
         let Some(Columns::Joints(joints)) = &topic.columns else { continue };
         let Some(first) = quaternion_in(joints) else { continue };
+        topic.columns = Some(Columns::Array(to_unnamed(joints)));
+        // A file may be named after the joint that moves.
+        if stem.starts_with(&topic.name) {
+            continue;
+        }
         found.push(format!(
             "'{}' is named as joint positions, but its numbers {} to {} form a unit quaternion in every row, \
              as in a pose",
@@ -19,7 +25,6 @@ pub(super) fn report_contradictions(log: &mut Log) {
             first + 1,
             first + 4
         ));
-        topic.columns = Some(Columns::Array(to_unnamed(joints)));
     }
     let notes = found.into_iter().map(|what| Note { file: file.clone(), what });
     if notes.len() > 0 {

@@ -473,7 +473,8 @@ impl<'a> ColumnSearch<'a> {
             let width = (first..self.cells.numbers.len()).take_while(|&at| is_next(at)).count();
             let topic = &log.topics[self.cells.numbers[first].at.0];
             let is_command = array_role(&topic.name, width, false).0 == Role::Reference;
-            for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
+            let may_be_joints = !is_command && !self.is_pose_array(first);
+            for (arm, chain) in chains.iter().enumerate().filter(|_| may_be_joints) {
                 let dof = chain.dof();
                 let blocks = || -> Vec<JointColumns> { table.blocks(&wanted, arm) };
                 let unit_of = |blocks: &[JointColumns], from: usize| {
@@ -533,6 +534,16 @@ impl<'a> ColumnSearch<'a> {
             texts.join(", or ")
         );
         Some(ColumnQuestion { text, proposal: suggestions.swap_remove(0).layout })
+    }
+
+    /// Whether the array of a number is a pose: few numbers with a unit quaternion.
+    fn is_pose_array(&self, at: usize) -> bool {
+        const MAX_WIDTH: usize = 8;
+        let table = &self.cells.table;
+        let numbers = 0..self.cells.numbers.len();
+        let own: Vec<usize> =
+            numbers.filter(|&other| table.home(other) == table.home(at)).collect();
+        own.len() <= MAX_WIDTH && table.hold_quaternion(&own)
     }
 
     fn answer_with_joints(&self, joints: &[usize]) -> Answer {
@@ -636,6 +647,7 @@ impl<'a> ColumnSearch<'a> {
         let blocks = starts.map(|from| (from..from + dof).collect::<Vec<usize>>());
         let fits = |block: &Vec<usize>| {
             block.iter().all(|&at| table.home(at) == table.home(block[0]))
+                && !self.is_pose_array(block[0])
                 && self.are_alike(block)
                 && table.is_within_limits(block, &arm.chain)
         };
@@ -670,6 +682,7 @@ impl<'a> ColumnSearch<'a> {
                 _ => runs.push(vec![at]),
             }
         }
+        runs.retain(|run| !self.is_pose_array(run[0]));
         let (arm, joints) = runs.into_iter().find_map(|run| {
             let is_it = |block: &JointColumns| {
                 block.joints == run && !matches!(block.unit, JointValueUnit::Ticks { .. })
