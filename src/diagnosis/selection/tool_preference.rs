@@ -44,10 +44,15 @@ pub(crate) fn prefer_tool_frames(
         let beside_links = |state| noise_beside_links(observations_of_stream, state, offsets);
         let (tool_noise, tool_links) = beside_links(&by_tool);
         let (reference_noise, reference_links) = beside_links(&by_reference);
-        let mut noise = tool_noise.iter().zip(&reference_noise);
+        let noise = || tool_noise.iter().zip(&reference_noise);
+        let independent = model.linear.normal.independent;
+        let log_ratios: f64 = noise().map(|(tool, reference)| (reference / tool).ln()).sum();
+        // Twice the log likelihood that less noise by the tool gains.
+        let gain = (2.0 * log_ratios * independent / tool_noise.len().max(1) as f64).max(0.0);
+        let is_noise_equal = noise().all(|(tool, reference)| *tool <= MAX_NOISE_RATIO * reference);
         // A displaced base has the price of a cause.
-        let fits_as_well = noise.all(|(tool, reference)| *tool <= MAX_NOISE_RATIO * reference)
-            && tool_links <= reference_links + price(model.linear.normal.independent);
+        let fits_as_well = (is_noise_equal || gain > 0.0)
+            && tool_links <= reference_links + price(independent) + gain;
         if !fits_as_well {
             continue;
         }
