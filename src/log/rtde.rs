@@ -84,11 +84,15 @@ pub(super) enum FirstLine {
 pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     let line = header_line(bytes);
     let cells: Vec<&[u8]> = cells(line, delimiter(line)).collect();
-    let known = |cell: &&[u8]| {
-        VECTORS.iter().any(|vector| part(cell).is_some_and(|(stem, _)| stem == vector.name))
+    let vector_part = |cell: &&[u8]| {
+        let (stem, part) = part(cell)?;
+        let vector = VECTORS.iter().find(|vector| vector.name == stem)?;
+        Some(part < vector.width)
     };
-    // Other tables' rate may be declared by the caller.
-    match cells.iter().any(known) && cells.contains(&TIMESTAMP.as_bytes()) {
+    let mut known = cells.iter().filter_map(vector_part).peekable();
+    // Other tables' rate may be declared by the caller, and another arm has more joints.
+    let is_recording = known.peek().is_some() && known.all(|is_within| is_within);
+    match is_recording && cells.contains(&TIMESTAMP.as_bytes()) {
         true => FirstLine::Names,
         false => FirstLine::Other,
     }

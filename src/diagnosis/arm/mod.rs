@@ -184,8 +184,7 @@ fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) ->
         let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
         let is_plausible = is_far && unchanged.is_plausible_for(streams);
         let otherwise = result.into_diagnosis(encoding);
-        let as_logged =
-            or_standard(diagnose_as(&as_logged)).into_diagnosis(Ok(JointEncoding::default()));
+        let as_logged = or_standard(unchanged.clone()).into_diagnosis(Ok(JointEncoding::default()));
         let is_likelier = !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0;
         return if is_likelier { otherwise } else { as_logged };
     }
@@ -239,6 +238,7 @@ const MAX_SCALE_RATIO: f64 = 1.01;
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_M: f64 = 5e-3;
 
+#[derive(Clone)]
 struct EncodingResult {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,

@@ -669,7 +669,8 @@ impl DeviationModel {
         }
     }
 
-    /// Beyond the first joint and before the last. Other links are the base and the tool.
+    /// Beyond the first joint and before the last. Other links are the base and the tool. `None` if another link's is about as
+    /// large: along parallel axes, displacements of two links cancel each other.
     fn largest_displacement(
         &self,
         fit: &DeviationFit,
@@ -684,7 +685,11 @@ impl DeviationModel {
             LinkDisplacement { joints: [columns[link - 1], columns[link]], length_m }
         };
         let links = self.groups().filter(|group| (1..self.joints).contains(group));
-        links.map(displacement).max_by(|a, b| a.length_m.value.total_cmp(&b.length_m.value))
+        let mut all: Vec<LinkDisplacement> = links.map(displacement).collect();
+        all.sort_by(|a, b| b.length_m.value.total_cmp(&a.length_m.value));
+        let is_single =
+            all.get(1).is_none_or(|next| 2.0 * next.length_m.value < all[0].length_m.value);
+        all.first().copied().filter(|_| is_single)
     }
 }
 

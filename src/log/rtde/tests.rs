@@ -177,6 +177,13 @@ fn a_table_without_controller_time_is_read_as_csv() {
 }
 
 #[test]
+fn seven_joints_are_no_universal_robot() {
+    let text = table(",", "\n", 10).replace("actual_TCP_pose_0", "actual_q_6");
+    let log = read_tables(&[text.as_bytes()]).unwrap();
+    assert_eq!(log.files[0].container, Container::Csv);
+}
+
+#[test]
 fn an_incomplete_vector_is_reported() {
     let text = table(",", "\n", 10).replace("actual_q_5", "other");
     let log = read(&text);
