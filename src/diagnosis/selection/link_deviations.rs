@@ -581,7 +581,7 @@ impl DeviationModel {
         self.maximize_likelihood(&AdditionalCauses::default(), &best.sizes_m)
     }
 
-    /// One fit per joint not in `zeros` or `but`. Starts from equal sizes: one link may have explained the zero.
+    /// One fit per joint not in `zeros` or `but`.
     fn with_one_more_zero(
         &self,
         zeros: &[usize],
@@ -590,10 +590,9 @@ impl DeviationModel {
     ) -> Vec<(usize, DeviationFit)> {
         let others =
             (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
-        let start = self.uniform_sizes(self.typical_size_m(sizes_m));
         let with = |joint| {
             let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
-            Some((joint, self.maximize_likelihood(&AdditionalCauses::zeros(&with), &start)?))
+            Some((joint, self.maximize_likelihood(&AdditionalCauses::zeros(&with), sizes_m)?))
         };
         others.filter_map(with).collect()
     }
