@@ -1,8 +1,9 @@
 //! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! Steps and gradual changes of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]). Encodings are
-//! estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]). Steps of frames and zeros too
-//! large for a linearisation are differences between the diagnoses of the parts ([`large_steps`]).
+//! Steps and gradual changes of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]).
+//! Encodings are estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]). Steps of
+//! frames and zeros too large for a linearisation are differences between the diagnoses of the parts
+//! ([`large_steps`]).
 
 mod cause_changes;
 mod change_points;
@@ -12,8 +13,8 @@ mod jumps;
 mod large_steps;
 mod patches;
 mod profile;
+mod score_test;
 mod split_run;
-mod step_test;
 
 use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::has_slow_residual;
@@ -27,7 +28,7 @@ pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use encoding_changes::{
     diagnose_with_encoding_changes, diagnose_with_recorded_encoding_changes,
 };
-use step_test::has_unusual_zero;
+use score_test::has_unusual_zero;
 
 impl ArmDiagnosis {
     /// Whether noise, usual link deviations and constant frames explain the residuals of all streams.
