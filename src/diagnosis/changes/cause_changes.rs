@@ -72,7 +72,7 @@ impl Change {
         self.columns.len() + of_profile
     }
 
-    /// Minus twice the logarithm of the prior probability of its amount: opposite changes hardly ever cancel each other.
+    /// Minus twice the logarithm of the prior probability of its amount: large opposite changes are improbable.
     fn prior_cost(&self) -> f64 {
         let size = |column: usize| match self.subject {
             Subject::Frame { frame, .. } if frame.translation().contains(&column) => FRAME_PRIOR_M,
@@ -84,7 +84,7 @@ impl Change {
         amounts.map(|(column, half)| (2.0 * half / size(column)).powi(2)).sum()
     }
 
-    /// Without one, its profile has no effect.
+    /// Whether the amount differs from zero. At zero, the profile has no effect.
     fn has_amount(&self) -> bool {
         self.half.iter().any(|value| *value != 0.0)
     }
@@ -219,7 +219,7 @@ impl<'a> Stream<'a> {
         let weights = self.columns.local_weights(linear);
         let (mut next, mut score) = likeliest(&weights)?;
         if kind.with_drifts {
-            // The shape of a large change shows in the noise beside it.
+            // The residual after this change has the weights that resolve its shape.
             let beside = self.variable(&next, None);
             let weights = self.columns.local_weights(&self.columns.linearize(&beside));
             (next, score) = likeliest(&weights)?;
@@ -372,11 +372,11 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// Joint fit of several changes. Directions that the motion does not show stay zero.
+/// Joint fit of several changes. Unobservable directions stay zero.
 struct Fit {
-    /// What to add to half of each change, in its columns, and to its profile.
+    /// Increments of half of each change, in its columns, and of its profile.
     changes: Vec<(DVector<f64>, Vec<f64>)>,
-    /// What to add to the constant reference and tool of each stream: twists.
+    /// Increments of the constant reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
     dof: f64,
 }
@@ -735,7 +735,7 @@ fn refined(
     mut tracks: Vec<Option<PoseTrack>>,
 ) -> Removal {
     const MAX_ROUNDS: usize = 2;
-    /// Of the changes so far, for another diagnosis.
+    /// Relative to the changes so far; a larger step needs another diagnosis.
     const MIN_RELATIVE_STEP: f64 = 0.02;
     for _ in 0..MAX_ROUNDS {
         let steady = Stream::all(run, &removal.after);
@@ -763,7 +763,7 @@ fn refined(
     removal
 }
 
-/// Offset of a joint's zero to that at the start.
+/// Offset of a joint's zero relative to the start.
 fn zero_offset<'a>(changes: impl Iterator<Item = &'a Change>, column: usize, t_s: f64) -> f64 {
     let own = changes.filter(|change| change.subject == Subject::Zero { column });
     own.map(|change| (change.profile.factor(t_s) + Target::Start.part()) * change.half[0]).sum()
@@ -821,7 +821,7 @@ impl Removal {
         let Self { changes, patches, mut after } = self;
         let found = after.clone();
         let streams = Stream::all(run, &found);
-        /// Of the residual before, for changes beside noise that is correlated in time.
+        /// Share of the residual before, for changes under autocorrelated noise.
         const MAX_RESIDUAL_SHARE: f64 = 0.5;
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
@@ -917,10 +917,10 @@ impl Removal {
     }
 }
 
-/// Of decisions beside noise that is correlated in time.
+/// Confidence of decisions under autocorrelated noise.
 const NOISE_CONFIDENCE: f64 = 0.999;
 
-/// Whether the residual repeats with the configuration, unlike noise that is correlated in time.
+/// Whether the residual repeats with the configuration, unlike autocorrelated noise.
 fn depends_on_configuration(found: &PoseDiagnosis) -> bool {
     let exceeds = |excess: &Measured| excess.value > excess.half_width(NOISE_CONFIDENCE);
     found.residual.as_ref().is_ok_and(|it| exceeds(&it.excess_m) || exceeds(&it.excess_rad))

@@ -27,7 +27,7 @@ impl<Value, Size> ChangePoint<Value, Size> {
         self.course != Course::Step
     }
 
-    /// Of a change that settles.
+    /// Time constant of a settling change.
     pub fn time_constant_s(&self) -> Option<f64> {
         match self.course {
             Course::Settling(time_constant_s) => Some(time_constant_s),
@@ -78,7 +78,7 @@ pub struct JointPatch {
     pub factor: f64,
     /// Offset after the factor at the start, rad or m.
     pub offset: f64,
-    /// Its rate, per s.
+    /// Rate of the offset, per s.
     pub rate: f64,
 }
 

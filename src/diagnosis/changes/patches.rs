@@ -45,7 +45,7 @@ impl JointPatch {
     }
 
     fn apply_to_value(&self, t_s: f64, position: &mut f64, velocity: &mut f64) {
-        // The first span begins at no time.
+        // The first span starts at minus infinity.
         let drift = if self.rate == 0.0 { 0.0 } else { self.rate * (t_s - self.from_s) };
         *position = self.factor * *position + self.offset + drift;
         *velocity = self.factor * *velocity + self.rate;

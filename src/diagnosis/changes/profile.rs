@@ -20,7 +20,7 @@ pub(super) enum Profile {
 pub(super) enum Shape {
     /// At a constant rate between two times.
     Ramp { from: f64, to: f64 },
-    /// As `1 − exp(−t/τ)` from the start: warm-up, creep. With `ln τ`.
+    /// As `1 − exp(−t/τ)` from the start, such as a warm-up or creep; the parameter is `ln τ`.
     Settling { ln_time_constant: f64 },
 }
 
@@ -32,7 +32,7 @@ impl Shape {
     /// Faster changes are steps, slower ones ramps.
     const LN_TIME_CONSTANTS: [f64; 2] = [-3.5, 0.5];
 
-    /// Ramps within the run and changes that settle, between which the others are found by [`Self::neighbours`].
+    /// Coarse grid of ramps within the run and of settling changes. [`Self::neighbours`] refines it.
     pub fn coarse() -> impl Iterator<Item = Self> {
         let part = |at: u32| f64::from(at) / f64::from(COARSE_PARTS);
         let ends =
@@ -74,7 +74,7 @@ impl Shape {
         }
     }
 
-    /// Its parameters. The ends of a ramp at those of the run are none: only its rate shows.
+    /// Free parameters. An end of a ramp at an end of the run is fixed, because only the rate is observable there.
     fn parameters(&mut self) -> Vec<&mut f64> {
         match self {
             Self::Ramp { from, to } => {
@@ -86,7 +86,7 @@ impl Shape {
     }
 
     fn stepped(mut self, by: &[f64]) -> Self {
-        /// Of a linearisation.
+        /// Limit of one step of the linearised fit.
         const MAX_STEP: f64 = 0.1;
         let before = self;
         for (parameter, by) in self.parameters().into_iter().zip(by) {
@@ -151,7 +151,7 @@ impl Profile {
         }
     }
 
-    /// The step, if it is one.
+    /// The step of a step profile.
     pub fn step(&self) -> Option<Jump> {
         match self {
             Self::Step(step) => Some(*step),
@@ -159,7 +159,7 @@ impl Profile {
         }
     }
 
-    /// Middle and half-width of the interval within which it happens.
+    /// Middle and half-width of the time interval of the change.
     pub fn interval_s(&self) -> (f64, f64) {
         match *self {
             Self::Step(Jump { at_s, within_s, .. }) => (at_s, within_s),

@@ -36,7 +36,7 @@ pub(crate) fn excess_residual(
     let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
         a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
     };
-    // At the point that is measured: at the tip, a marker's distance turns errors of its rotation into ones of position.
+    // Compared at the measured point. At the tip, a rotation error of a distant marker becomes a position error.
     let measured = |pose: &Pose| pose * stream.tool;
     let at_marker = |a: &Pose, b: &Pose| position(&measured(a), &measured(b));
     let residual_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &at_marker);

@@ -4,7 +4,7 @@ use crate::log::{Log, Note};
 use crate::run::joint_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns};
 
-/// Finds joint topics that hold a unit quaternion in every row, as a pose does. Makes them unnamed numbers
+/// Finds joint topics whose rows all hold a unit quaternion. Makes them unnamed numbers
 /// and reports the contradiction, unless the file named the columns.
 pub(super) fn report_contradictions(log: &mut Log) {
     let Some(file) = log.files.first().map(|file| file.path.clone()) else { return };
