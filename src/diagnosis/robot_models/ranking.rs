@@ -97,6 +97,8 @@ pub struct HypothesisFit {
 /// Fits of a model to a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFit {
+    /// Latency at which the samples were selected, s.
+    lag_s: f64,
     /// Samples fitted.
     pub samples: usize,
     /// Rms distance from the mean, m.
@@ -130,10 +132,30 @@ impl ModelFit {
         fits.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
-    /// Whether no faulty hypothesis can score lower, given its additional parameters.
-    pub fn is_conclusive(&self) -> bool {
-        let min_faulty_score = self.price(0.0, 1.0);
-        self.best().is_some_and(|best| best.score <= min_faulty_score)
+    /// Adds fits with a fault, unless one with all faults together would score more than `max_score`. The arguments are
+    /// those of [`fit_model`].
+    pub fn add_faulty_fits(
+        &mut self,
+        joints: &JointTrack,
+        stream: &PoseStream,
+        max_lag_s: f64,
+        max_score: f64,
+    ) {
+        let min_score = |residual_m: f64| self.price(residual_m, 1.0);
+        let own_score = self.best().map_or(f64::INFINITY, |best| best.score);
+        if own_score <= min_score(0.0) {
+            return;
+        }
+        let scale = metres_by_size(joints, stream);
+        let lags_s = (self.lag_s, max_lag_s);
+        let Some(stream_with_fk) = StreamWithFk::new(joints, stream, scale, lags_s) else { return };
+        if own_score > max_score && min_score(stream_with_fk.least_residual_m()) > max_score {
+            return;
+        }
+        self.fits.extend(stream_with_fk.faulty_fits());
+        if self.fits.iter().all(|fit| fit.residual_m > MIN_LARGE_RESIDUAL_M) {
+            self.fits.extend(stream_with_fk.misinterpreted_fits());
+        }
     }
 
     /// Score of a perfect fit without parameters. No model scores lower.
@@ -173,11 +195,9 @@ pub enum FitHypotheses {
     Nothing,
     /// Those without a fault.
     Faultless,
-    /// Every hypothesis.
-    All,
 }
 
-/// Fits the model of `stream`'s chain. `None` if the joint states cover too few samples.
+/// Fits the model of `stream`'s chain, without a fault. `None` if the joint states cover too few samples.
 pub fn fit_model(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -198,15 +218,7 @@ pub fn fit_model(
     };
     let candidates = lag_s.into_iter().filter_map(at_lag);
     let (_, stream_with_fk) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let mut fit = stream_with_fk.fit();
-    if tried == FitHypotheses::Faultless {
-        return Some(fit);
-    }
-    fit.fits.extend(stream_with_fk.faulty_fits());
-    if fit.fits.iter().all(|fit| fit.residual_m > MIN_LARGE_RESIDUAL_M) {
-        fit.fits.extend(stream_with_fk.misinterpreted_fits());
-    }
-    Some(fit)
+    Some(stream_with_fk.fit())
 }
 
 /// Cheapest fit without a fault, or, if `with_zero`, with one joint zero. An unknown frame is free. `None`
@@ -295,6 +307,7 @@ impl<'a> StreamWithFk<'a> {
         let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
         let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
+            lag_s: self.lag_s,
             samples: self.samples.t_s.len(),
             spread_m: crate::frames::position_fit::spread(&self.samples.xyz),
             as_is_m: unfitted.0,
@@ -307,6 +320,13 @@ impl<'a> StreamWithFk<'a> {
         let most_general = [FitAssumption::Tool, FitAssumption::HalfTurn { tool: true }];
         let fits = most_general.into_iter().filter_map(|it| self.fit_with(it, ToolPrior::None));
         fits.map(|fit| fit.residual_m).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Residual with zeros of all joints, any reference and any tool, which every hypothesis restricts.
+    fn least_residual_m(&self) -> f64 {
+        let all: Vec<usize> = (0..10 + self.stream.chain.dof()).collect();
+        let starts = self.starts(true).into_iter();
+        starts.map(|start| self.solve(start, &all, ToolPrior::None).0).fold(f64::INFINITY, f64::min)
     }
 
     /// Fits to poses and joints as logged.

@@ -3,11 +3,13 @@
 use std::sync::OnceLock;
 
 use nalgebra::{Matrix3, Rotation3, Translation3};
+use wide::f64x4;
 
 use crate::geometry::{Pose, Rotation, Vec3, rotation_from_xyzw};
 
 use super::error::ChainError;
 use super::joint::{JointKind, Limits};
+use super::lanes::{LANES, sin_cos};
 use super::model::{Joint, LinkId, PathStep, Robot};
 
 /// Kinematic chain from a base link to a tip link.
@@ -427,18 +429,25 @@ impl Chain {
 /// Last frame of `steps` in the frame before them; see [`Chain::walk`].
 #[inline]
 fn walk(steps: &[Step], q: &[f64], mut visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
-    let mut first_from_here = Rigid::IDENTITY;
-    for (index, step) in steps.iter().enumerate() {
-        let before = match index {
-            0 => step.previous_from_step,
-            _ => first_from_here * step.previous_from_step,
-        };
-        let motion = step.factor * q[step.coordinate] + step.offset;
-        first_from_here =
-            if step.slides { before.slid_along_z(motion) } else { before.turned_about_z(motion) };
-        visit(step, &before, &first_from_here);
+    let mut first_from_here: Option<Rigid> = None;
+    for few in steps.chunks(LANES) {
+        let motion_of = |step: &Step| step.factor * q[step.coordinate] + step.offset;
+        let motions: [f64; LANES] =
+            std::array::from_fn(|lane| few.get(lane).map_or(0.0, motion_of));
+        let (sin, cos) = sin_cos(f64x4::new(motions));
+        let turns = sin.to_array().into_iter().zip(cos.to_array());
+        for ((step, motion), turn) in few.iter().zip(motions).zip(turns) {
+            let before = match first_from_here {
+                None => step.previous_from_step,
+                Some(first_from_here) => first_from_here * step.previous_from_step,
+            };
+            let after =
+                if step.slides { before.slid_along_z(motion) } else { before.turned_about_z(turn) };
+            visit(step, &before, &after);
+            first_from_here = Some(after);
+        }
     }
-    first_from_here
+    first_from_here.unwrap_or(Rigid::IDENTITY)
 }
 
 /// A zero quaternion is no rotation.
@@ -494,8 +503,7 @@ impl Rigid {
 
     /// Only the x and y columns change.
     #[inline]
-    fn turned_about_z(mut self, angle_rad: f64) -> Self {
-        let (sin, cos) = angle_rad.sin_cos();
+    fn turned_about_z(mut self, (sin, cos): (f64, f64)) -> Self {
         let x = self.rotation.column(0).into_owned();
         let y = self.rotation.column(1).into_owned();
         self.rotation.set_column(0, &(x * cos + y * sin));

@@ -7,7 +7,7 @@ use crate::geometry::{Pose, Vec3};
 
 use super::chain::{Chain, Rigid};
 
-const LANES: usize = 4;
+pub(super) const LANES: usize = 4;
 
 #[derive(Clone, Copy)]
 struct Rigids {
@@ -102,7 +102,7 @@ impl Rigids {
 /// Within two units in the last place. Subtracts the nearest multiple of π/2 in three parts, then uses the
 /// polynomials of Cephes (Moshier, `sin.c`).
 #[inline]
-fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
+pub(super) fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
     /// Adding and subtracting it rounds to an integer, which is in the last bits of the sum.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
     /// Above this, rad, the reduction loses digits.

@@ -35,12 +35,6 @@ const MIN_RESIDUAL_RATIO: f64 = 5.0;
 /// Maximum tool length of that other arm, m.
 const MAX_TOOL_M: f64 = 0.5;
 
-/// With more than `MAX_MODELS_WITH_FAULTS` models, one of which fits within `MAX_CLEAR_RESIDUAL_M` metres without a fault, faults are not
-/// fitted for models whose residual is `MAX_RATIO_TO_CLEAR` times larger.
-const MAX_MODELS_WITH_FAULTS: usize = 4;
-const MAX_CLEAR_RESIDUAL_M: f64 = 1e-4;
-const MAX_RATIO_TO_CLEAR: f64 = 100.0;
-
 #[derive(Default)]
 struct FittedModel {
     arm: Option<Arm>,
@@ -88,15 +82,16 @@ impl PoseRanking<'_> {
     /// stream's frame only if every model locates it.
     pub fn rank(&self, models: &[&LogModel]) -> Option<ModelRanking> {
         let mut entries = self.fit_models(models, FitHypotheses::Faultless);
-        // Fit faults only for models that could become the best.
-        let near = could_be_best(&entries);
-        entries.par_iter_mut().zip(near).for_each(|(FittedModel { arm, fits }, is_near)| {
-            let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
-            let open = fits.iter_mut().filter(|it| !it.fit.is_conclusive());
-            open.for_each(|it| {
-                let all = self.fit_of(arm, &it.source, it.is_frame_known, FitHypotheses::All);
-                it.fit = all.unwrap_or_else(|| it.fit.clone());
-            });
+        let max_scores = max_scores(&entries);
+        entries.par_iter_mut().for_each(|FittedModel { arm, fits }| {
+            let Some(arm) = arm.as_ref() else { return };
+            for StreamFit { stream, source, is_frame_known, fit } in fits {
+                let max_score = max_scores.get(stream).copied().unwrap_or(f64::INFINITY);
+                let stream =
+                    PoseStream { reference_known: *is_frame_known, ..source.as_stream() };
+                let max_lag_s = self.assembly.options.max_latency_s;
+                fit.add_faulty_fits(&arm.joints, &stream, max_lag_s, max_score);
+            }
         });
         self.ranking(&entries)
     }
@@ -329,28 +324,15 @@ impl PoseRanking<'_> {
     }
 }
 
-/// Models near the best one without a fault. All if none is clear or they are few.
-fn could_be_best(entries: &[FittedModel]) -> Vec<bool> {
-    let streams: BTreeSet<usize> =
-        entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
-    let left = |stream: usize, entry: &FittedModel| {
-        entry.fit_to(stream).map_or(f64::INFINITY, ModelFit::faultless_residual_m)
-    };
-    let least_m: Vec<(usize, f64)> = streams
-        .into_iter()
-        .map(|stream| {
-            (stream, entries.iter().map(|it| left(stream, it)).fold(f64::INFINITY, f64::min))
-        })
-        .collect();
-    let is_clear =
-        !least_m.is_empty() && least_m.iter().all(|(_, least_m)| *least_m < MAX_CLEAR_RESIDUAL_M);
-    let is_near = |entry: &FittedModel| {
-        least_m.iter().any(|&(stream, least_m)| {
-            left(stream, entry) <= MAX_RESIDUAL_M.max(MAX_RATIO_TO_CLEAR * least_m)
-        })
-    };
-    let is_asked = |entry| entries.len() <= MAX_MODELS_WITH_FAULTS || !is_clear || is_near(entry);
-    entries.iter().map(is_asked).collect()
+/// Per stream, the score above which a model is distinguishable from the best one without a fault.
+fn max_scores(entries: &[FittedModel]) -> HashMap<usize, f64> {
+    let mut scores = HashMap::new();
+    for fitted in entries.iter().flat_map(|entry| &entry.fits) {
+        let score = fitted.fit.best().map_or(f64::INFINITY, |best| best.score);
+        let max_score = scores.entry(fitted.stream).or_insert(f64::INFINITY);
+        *max_score = max_score.min(score + MIN_SCORE_DIFFERENCE);
+    }
+    scores
 }
 
 /// Ranks by the streams that at least one model explains, else by all.
