@@ -82,30 +82,28 @@ pub(crate) fn is_plausible_extent(extent: f64, by_fk: f64) -> bool {
     (extent / by_fk).ln().abs() < MAX_MARKER_MOTION_RATIO.ln()
 }
 
-/// Encodings with about the smallest residual, simplest first. Empty if the tip moves too little.
+/// Encodings with about the smallest residual, simplest first. Empty if the tip moves too little. If it only rotates, the
+/// positions of inverse poses still move.
 pub(crate) fn candidate_encodings(
     fk: &[Pose],
     reach_m: f64,
     written: &StreamPositions,
 ) -> Vec<PositionEncoding> {
-    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-    let extent_m = spread(&at);
-    if fk.len() < 6 || extent_m < MIN_MOTION_SHARE * reach_m {
+    let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
+    let as_logged = EncodingSearch::new(fk, written, false);
+    let inverted = EncodingSearch::new(&inverse, written, true);
+    let moves = |search: &EncodingSearch| search.extent_m >= MIN_MOTION_SHARE * reach_m;
+    if fk.len() < 6 || !(moves(&as_logged) || moves(&inverted)) {
         return Vec::new();
     }
-    let search = EncodingSearch::new(fk, written, extent_m);
-    let mut found = search.candidates(1.0, false);
+    let extent_m = as_logged.extent_m;
+    let mut found = as_logged.candidates(1.0, false);
     let least = |found: &[PositionEncoding], is: fn(&PositionEncoding) -> bool| {
         found.iter().filter(|one| is(one)).map(|one| one.residual_m).fold(f64::INFINITY, f64::min)
     };
     let sound_m = least(&found, PositionEncoding::is_standard);
     if sound_m > MAX_LOGGED_RESIDUAL_SHARE * extent_m {
-        let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
-        let inverse = EncodingSearch {
-            is_inverted: true,
-            ..EncodingSearch::new(&inverse, written, extent_m)
-        };
-        for search in [&search, &inverse] {
+        for search in [&as_logged, &inverted].into_iter().filter(|search| moves(search)) {
             for metres in std::iter::once(1.0).chain(search.units()) {
                 found.extend(search.candidates(metres, true));
             }
@@ -122,10 +120,7 @@ pub(crate) fn candidate_encodings(
                     one.residual_m <= MAX_UNUSUAL_RESIDUAL_SHARE * extent_m
                         && MIN_UNUSUAL_RATIO * one.residual_m <= usual_m
                 }
-                false => {
-                    one.residual_m <= MAX_RESIDUAL_SHARE * extent_m
-                        && MAX_EQUIVALENT_RATIO * one.residual_m <= sound_m
-                }
+                false => one.is_explained && MAX_EQUIVALENT_RATIO * one.residual_m <= sound_m,
             };
             one.is_standard() || explains
         });
@@ -135,6 +130,9 @@ pub(crate) fn candidate_encodings(
     let near = (MAX_EQUIVALENT_RATIO * least(&found, |_| true))
         .max(MAX_EQUIVALENT_RESIDUAL_SHARE * extent_m);
     found.retain(|one| one.residual_m <= near);
+    if !moves(&as_logged) && !found.iter().any(|one| one.is_inverted) {
+        return Vec::new();
+    }
     found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.residual_m.total_cmp(&b.residual_m)));
     let mut distinct: Vec<PositionEncoding> = Vec::new();
     for one in found {
@@ -183,13 +181,14 @@ const FREE_COMBINATIONS: [FreeOffsets; 4] = [
 ];
 
 impl<'a> EncodingSearch<'a> {
-    fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, extent_m: f64) -> Self {
+    fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, is_inverted: bool) -> Self {
         let skipped = match written.constant {
             None => vec![None],
             Some(_) => vec![Some(0), Some(1), Some(2)],
         };
         let sums = skipped.into_iter().map(|skipped| EncodingSums::from_fk(fk, skipped)).collect();
-        Self { fk, positions: written, is_inverted: false, extent_m, sums }
+        let positions: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+        Self { fk, positions: written, is_inverted, extent_m: spread(&positions), sums }
     }
 
     /// Includes left-handed axes only if `any`.

@@ -87,8 +87,7 @@ impl PoseRanking<'_> {
             let Some(arm) = arm.as_ref() else { return };
             for StreamFit { stream, source, is_frame_known, fit } in fits {
                 let max_score = max_scores.get(stream).copied().unwrap_or(f64::INFINITY);
-                let stream =
-                    PoseStream { reference_known: *is_frame_known, ..source.as_stream() };
+                let stream = PoseStream { reference_known: *is_frame_known, ..source.as_stream() };
                 let max_lag_s = self.assembly.options.max_latency_s;
                 fit.add_faulty_fits(&arm.joints, &stream, max_lag_s, max_score);
             }

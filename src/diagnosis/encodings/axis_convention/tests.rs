@@ -85,3 +85,17 @@ fn constant_coordinates_are_ignored() {
         assert!(found.residual_m < 1e-6, "{found:?}");
     }
 }
+
+/// The tip stays where it is and rotates, as in a reorientation or a motion of the elbow.
+#[test]
+fn inverse_poses_of_a_tip_that_only_rotates_are_identified() {
+    let fk: Vec<Pose> = arm().iter().map(|fk| pose([0.4, 0.1, 0.3], fk.rotation)).collect();
+    let inverse = xyz(fk.iter().map(Pose::inverse));
+    let found = first(&fk, &inverse, true, None);
+    assert!(found.is_inverted && found.metres == 1.0, "{found:?}");
+    assert!(found.residual_m < 1e-4, "{found:?}");
+    let as_logged = xyz(fk.iter().copied());
+    let written =
+        StreamPositions { xyz: &as_logged, constant: None, read_as_m: 1.0, reference_known: true };
+    assert!(candidate_encodings(&fk, 1.0, &written).is_empty());
+}
