@@ -18,6 +18,7 @@ use crate::model::measurement::{
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
+use crate::solver::robust::robust_sigma;
 use crate::{LatencyProfile, LatencyRamp, Measured};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -309,7 +310,8 @@ pub(crate) enum FreeAlongside {
 }
 
 /// Linearises samples about `stream_state` and `offsets`. Columns: six changes each for the reference and every
-/// joint's child link frame, the latency, then the parameters in `with`.
+/// joint's child link frame, the latency, then the parameters in `with`. The noise includes the error of the linearisation
+/// if the changes explain the residual.
 pub(crate) fn link_frames(
     observations: &PoseObservations,
     stream_state: &StreamState,
@@ -369,6 +371,10 @@ pub(crate) fn link_frames(
             set(latency + 1 + joints, [from_base, Vec3::zeros()]);
         }
     }
+    // Its terms are products of a rotation and a displacement, or of two rotations.
+    let [shift_m, turn_rad] = [0, 1].map(|kind| robust_sigma(&linear.residual[kind]));
+    let turn_rad = turn_rad.max(shift_m / observations.chain.max_reach_m().max(shift_m));
+    linear.raise_floors(&[turn_rad * shift_m, turn_rad.powi(2)]);
     linear
 }
 

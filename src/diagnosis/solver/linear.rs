@@ -101,6 +101,11 @@ impl Linear {
         }
     }
 
+    /// Raises the smallest noise of each kind.
+    pub fn raise_floors(&mut self, floors: &[f64]) {
+        self.floor.iter_mut().zip(floors).for_each(|(floor, other)| *floor = floor.max(*other));
+    }
+
     /// Reserves memory for more samples.
     pub fn reserve(&mut self, samples: usize) {
         self.residual.iter_mut().for_each(|column| column.reserve(samples));
