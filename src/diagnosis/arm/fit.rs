@@ -236,9 +236,11 @@ fn prefer_zeros(
                 others.contains(cause) || *cause == zero || matches!(cause, Cause::Skew(_))
             };
             let optional = candidates.optional.iter().copied().filter(is_retained).collect();
-            let candidates = CandidateCauses { optional, ..candidates };
-            let model = select_model(observations, start, &candidates, FIT_SAMPLES);
-            return prefer_zeros(observations, model, candidates, large_offsets);
+            let candidates = CandidateCauses { optional, ..candidates.clone() };
+            let with_zero = select_model(observations, start, &candidates, FIT_SAMPLES);
+            if is_within_calibration(&with_zero) {
+                return prefer_zeros(observations, with_zero, candidates, large_offsets);
+            }
         }
     }
     (model, candidates)
@@ -295,13 +297,17 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
     let model = select_model(observations, start, &candidates, FIT_SAMPLES);
-    let is_within_calibration = model.linear.streams.iter().all(|stream| {
-        rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
-    });
-    match is_within_calibration {
+    match is_within_calibration(&model) {
         true => ArmFit { model, candidates, deviations: nominal, timings: Vec::new() },
         false => fitted,
     }
+}
+
+/// Whether link deviations may explain every stream's residual.
+fn is_within_calibration(model: &SelectedModel) -> bool {
+    model.linear.streams.iter().all(|stream| {
+        rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
+    })
 }
 
 /// Whether every stream's residual counts as explained.
