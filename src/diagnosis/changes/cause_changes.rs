@@ -14,6 +14,7 @@ use super::split_run::SplitRun;
 use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
+use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_compliance};
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{
@@ -23,6 +24,7 @@ use crate::residuals::cause_columns::{
     CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
 };
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
+use crate::selection::evidence::likeliest;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use crate::{
@@ -615,17 +617,13 @@ impl Candidate {
     }
 }
 
-/// With its score.
-fn likeliest(
+fn likeliest_candidate(
     candidates: impl Iterator<Item = Candidate>,
     streams: &[Stream],
     noise: &[Vec<Weight>],
-) -> Option<(Candidate, f64)> {
-    let scored = candidates.map(|candidate| {
-        let score = candidate.score(streams, noise);
-        (candidate, score)
-    });
-    scored.max_by(|a, b| a.1.total_cmp(&b.1))
+) -> Option<Candidate> {
+    let scored = candidates.map(|candidate| (candidate.score(streams, noise), candidate));
+    scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, candidate)| candidate)
 }
 
 /// A candidate with the weights of its residuals.
@@ -698,10 +696,12 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
     }
 }
 
-/// Changes, and the diagnosis of the run without them.
+/// Changes, and the run without them.
 struct Removal {
     changes: Vec<Change>,
     patches: Vec<JointPatch>,
+    /// Per stream, if it is affected.
+    tracks: Vec<Option<PoseTrack>>,
     after: ArmDiagnosis,
 }
 
@@ -714,8 +714,8 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<R
     let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
     let changing = Stream::all(run, before);
     take_from(&mut tracks, &changing, &changes);
-    let removal = Removal::new(run, before, &tracks, changes);
-    removal.explains_more_than(&changing, run).then(|| refined(run, before, removal, tracks))
+    let removal = Removal::new(run, before, tracks, changes);
+    removal.explains_more_than(&changing, run).then(|| refined(run, before, removal))
 }
 
 /// Removes these changes of frames from the tracks of the streams.
@@ -728,12 +728,7 @@ fn take_from(tracks: &mut [Option<PoseTrack>], streams: &[Stream], changes: &[Ch
 }
 
 /// Refines the changes: the diagnosis without them shows the part that constant causes had absorbed.
-fn refined(
-    run: &ArmRun,
-    before: &ArmDiagnosis,
-    mut removal: Removal,
-    mut tracks: Vec<Option<PoseTrack>>,
-) -> Removal {
+fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal {
     const MAX_ROUNDS: usize = 2;
     /// Relative to the changes so far; a larger step needs another diagnosis.
     const MIN_RELATIVE_STEP: f64 = 0.02;
@@ -753,8 +748,9 @@ fn refined(
             removal.changes = changes;
             break;
         }
+        let mut tracks = removal.tracks.clone();
         take_from(&mut tracks, &steady, &more);
-        let next = Removal::new(run, before, &tracks, changes);
+        let next = Removal::new(run, before, tracks, changes);
         if !next.explains_more_than(&steady, run) {
             break;
         }
@@ -798,15 +794,15 @@ impl Removal {
     fn new(
         run: &ArmRun,
         before: &ArmDiagnosis,
-        tracks: &[Option<PoseTrack>],
+        tracks: Vec<Option<PoseTrack>>,
         changes: Vec<Change>,
     ) -> Self {
         let patches = joint_patches(run, &changes);
         let mut joints = run.joints.clone();
         patches.iter().for_each(|patch| patch.apply(&mut joints));
-        let streams = with_tracks(run.streams, tracks);
+        let streams = with_tracks(run.streams, &tracks);
         let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
-        Self { changes, patches, after }
+        Self { changes, patches, tracks, after }
     }
 
     /// Whether the same streams follow FK, with less unexplained residual.
@@ -818,7 +814,7 @@ impl Removal {
     /// The diagnosis with the changes. `None` if one of them is not significant, or a residual remains that link deviations
     /// do not explain: unknown faults of joints can look like changes.
     fn reported(self, run: &ArmRun, before: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        let Self { changes, patches, mut after } = self;
+        let Self { changes, patches, mut after, .. } = self;
         let found = after.clone();
         let streams = Stream::all(run, &found);
         /// Share of the residual before, for changes under autocorrelated noise.
@@ -968,12 +964,54 @@ fn report_confounders(streams: &[PoseStream], after: &mut ArmDiagnosis) {
     }
 }
 
-/// Diagnoses the run with the changes of its causes removed, and reports them. `diagnosis` is of the uncorrected run. `None` if
-/// nothing changes.
+/// Diagnoses the run with the changes of its causes removed, and reports them, with joint compliance if that is likelier.
+/// `diagnosis` is of the uncorrected run. `None` if nothing changes.
 pub(crate) fn diagnose_with_cause_changes(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
+    let changes = likeliest_changes(run, diagnosis)?;
+    let beside_compliance = diagnose_beside_compliance(run, diagnosis, changes.clone());
+    let alone = remove(run, diagnosis, changes).and_then(|it| it.reported(run, diagnosis));
+    likeliest(alone.into_iter().chain(beside_compliance))
+}
+
+/// With joint compliance, which looks like changes of joint zeros. It is found without the changes of frames and radial
+/// scales, and these without it, in turn. `None` if there are none.
+fn diagnose_beside_compliance(
+    run: &ArmRun,
+    diagnosis: &ArmDiagnosis,
+    mut changes: Vec<Change>,
+) -> Option<ArmDiagnosis> {
+    const ROUNDS: usize = 2;
+    for round in 1.. {
+        let (of_streams, of_joints): (Vec<Change>, Vec<Change>) =
+            changes.into_iter().partition(|change| change.subject.stream().is_some());
+        if of_streams.is_empty() {
+            break;
+        }
+        let Removal { tracks, after, .. } = remove(run, diagnosis, of_streams)?;
+        let streams = with_tracks(run.streams, &tracks);
+        let steady = ArmRun { streams: &streams, ..*run };
+        let with = diagnose_with_compliance(&steady, &after, has_unusual_compliance)?;
+        let compliance = with.joints.compliance;
+        let mut joints = run.joints.clone();
+        apply_compliance(&mut joints, &compliance);
+        let rigid = ArmRun { joints: &joints, ..*run };
+        let constant = rigid.diagnose_again(diagnosis);
+        changes = likeliest_changes(&rigid, &constant)?;
+        if of_joints.is_empty() || round == ROUNDS {
+            let mut found = remove(&rigid, &constant, changes)?.reported(&rigid, &constant)?;
+            found.joints.compliance = compliance;
+            let streams = run.streams.iter().zip(&mut found.streams);
+            streams.for_each(|(stream, found)| restore_recorded(run.joints, stream, found));
+            return Some(found);
+        }
+    }
+    None
+}
+
+fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<Vec<Change>> {
     let streams = Stream::all(run, diagnosis);
     if !streams.iter().any(|stream| has_slow_residual(stream.found)) {
         return None;
@@ -987,14 +1025,11 @@ pub(crate) fn diagnose_with_cause_changes(
     let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;
     let noise = smallest.weights.clone();
     let candidates = found.into_iter().map(|it| it.candidate);
-    let (mut changed, _) = likeliest(candidates, &streams, &noise)?;
+    let mut changed = likeliest_candidate(candidates, &streams, &noise)?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;
     }
-    if changed.changes.is_empty() {
-        return None;
-    }
-    remove(run, diagnosis, changed.changes)?.reported(run, diagnosis)
+    (!changed.changes.is_empty()).then_some(changed.changes)
 }
 
 /// Diagnoses the run without the large steps between its segments, and reports them. `None` without such steps.
@@ -1006,13 +1041,13 @@ pub(super) fn diagnose_with_large_steps(
     let LargeSteps { steps, tracks } = large_steps(segments, jumps, run)?;
     let before = &segments.longest.found;
     let zeros = steps.iter().filter_map(|it| it.change(run, &[])).collect();
-    let removal = Removal::new(&run.arm, before, &tracks, zeros);
+    let removal = Removal::new(&run.arm, before, tracks, zeros);
     let changes = {
         let streams = Stream::all(&run.arm, &removal.after);
         steps.iter().map(|it| it.change(run, &streams)).collect::<Option<_>>()?
     };
     let removal = Removal { changes, ..removal };
-    refined(&run.arm, before, removal, tracks).reported(&run.arm, before)
+    refined(&run.arm, before, removal).reported(&run.arm, before)
 }
 
 impl LargeStep {
