@@ -7,6 +7,7 @@
 //! than elsewhere and than FK's. Accumulated jumps identify the body.
 
 use crate::compliance::motion_directions;
+use crate::encodings::position::metres_by_size;
 use crate::latency::correlation::median_period_s;
 use crate::model::measurement::{pose_of_twist, twist_of};
 use crate::samples::sampling::as_rotations;
@@ -125,7 +126,7 @@ struct PoseStep {
     times: f64,
 }
 
-/// Limits without a switch: m, rad.
+/// Limits without a switch, in the unit of the positions and rad.
 #[derive(Clone, Copy)]
 struct StepLimits {
     noise: [f64; 2],
@@ -194,9 +195,11 @@ fn step_limits(
         FK_STEP_FACTOR * sizes.fold(0.0, f64::max)
     };
     let most_rad = most(1);
+    let [min_jump_m, min_jump_rad] = MIN_JUMP_M_RAD;
+    let unit_m = metres_by_size(joints, stream);
     let mut limits = StepLimits {
-        noise: MIN_JUMP_M_RAD,
-        motion: [most(0) + MAX_BODY_DISTANCE_M * most_rad, most_rad],
+        noise: [min_jump_m / unit_m, min_jump_rad],
+        motion: [(most(0) + MAX_BODY_DISTANCE_M * most_rad) / unit_m, most_rad],
     };
     for kind in 0..2 {
         let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind] / step.times).collect();
@@ -428,5 +431,25 @@ mod tests {
         let jumps =
             |t_s: f64| if (5.0..9.0).contains(&t_s) { body * still(t_s) } else { still(t_s) };
         assert!(found(&|_| None, &jumps).is_none());
+    }
+
+    #[test]
+    fn limits_are_in_the_unit_of_the_positions() {
+        let (joints, chain) = arm();
+        let limits = [1.0, 1e-3].map(|unit_m: f64| {
+            let poses: Vec<Pose> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
+            let xyz = poses.iter().map(|pose| pose.translation.vector / unit_m).collect();
+            let rotations = poses.iter().map(|pose| pose.rotation).collect();
+            let orientation = Orientations::Rotations(rotations);
+            let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+            let stream = crate::test_motion::tip_stream(&track, &chain);
+            let period_s = median_period_s(&joints.t_s);
+            step_limits(&joints, &stream, period_s, &pose_steps(&joints.t_s, period_s, &poses))
+                .expect("the arm moves")
+        });
+        let [metres, millimetres] = limits.map(|limits| [limits.noise[0], limits.motion[0]]);
+        for (metres, millimetres) in metres.into_iter().zip(millimetres) {
+            assert!((millimetres / metres - 1000.0).abs() < 1e-6, "{metres} m, {millimetres} mm");
+        }
     }
 }
