@@ -19,8 +19,9 @@ use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, State, StreamState};
 use crate::priors::{
-    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, MAX_LOG_RATIO_OF_CONFOUNDER,
-    MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+    ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, LINK_PRIOR_M,
+    MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
+    RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
 use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
@@ -570,7 +571,9 @@ impl DeviationModel {
                 sums[*group].1 += 1.0;
             }
         }
-        sums.into_iter().map(|(sum, count)| (sum / count).sqrt()).collect()
+        let (min_size_m, max_size_m, _) = DEVIATION_GRID_M;
+        let size_m = |(sum, count): (f64, f64)| (sum / count).sqrt().clamp(min_size_m, max_size_m);
+        sums.into_iter().map(size_m).collect()
     }
 
     /// Started from the best common deviation size.
@@ -668,27 +671,40 @@ impl DeviationModel {
         }
     }
 
-    /// Beyond the first joint and before the last. Other links are the base and the tool. `None` if another link's is about as
-    /// large: along parallel axes, displacements of two links cancel each other.
+    /// Beyond the first joint and before the last. Other links are the base and the tool. `None` unless the displacement of
+    /// one link alone explains the residual, which usual deviations do not, and no other link is as likely.
     fn largest_displacement(
         &self,
         fit: &DeviationFit,
         columns: &[usize],
     ) -> Option<LinkDisplacement> {
-        let displacement = |link: usize| {
-            let own = DeviationParameter::Deviation { group: link, unit: 1.0 };
-            let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
-            let mean: Vec<f64> = own.iter().map(|&i| fit.mean[i]).collect();
-            let covariance = fit.covariance_columns(&own).select_rows(&own);
-            let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
-            LinkDisplacement { joints: [columns[link - 1], columns[link]], length_m }
-        };
+        /// Residual beside usual deviations, relative to that beside the displaced link; not calibrated. Far displacements in
+        /// directions that hardly move the tip make a residual smaller, too.
+        const MIN_RESIDUAL_RATIO: f64 = 2.0;
+        let zeros = AdditionalCauses::zeros(&fit.zeros);
+        let usual = self.uniform_sizes(self.typical_size_m(&fit.sizes_m).min(LINK_PRIOR_M));
         let links = self.groups().filter(|group| (1..self.joints).contains(group));
-        let mut all: Vec<LinkDisplacement> = links.map(displacement).collect();
-        all.sort_by(|a, b| b.length_m.value.total_cmp(&a.length_m.value));
-        let is_single =
-            all.get(1).is_none_or(|next| 2.0 * next.length_m.value < all[0].length_m.value);
-        all.first().copied().filter(|_| is_single)
+        let alone = links.filter_map(|link| {
+            let mut sizes_m = usual.clone();
+            sizes_m[link] = FREE_PRIOR;
+            Some((link, self.fit_with(&zeros, &sizes_m)?))
+        });
+        let mut alone: Vec<(usize, DeviationFit)> = alone.collect();
+        alone.sort_by(|a, b| b.1.evidence.total_cmp(&a.1.evidence));
+        let (link, best) = alone.first()?;
+        let min_gain = (MIN_RESIDUAL_RATIO.powi(2) - 1.0) * self.dof;
+        let is_needed = best.evidence > self.fit_with(&zeros, &usual)?.evidence + min_gain;
+        let is_single = alone
+            .get(1)
+            .is_none_or(|(_, other)| best.evidence > other.evidence + MAX_LOG_RATIO_OF_CONFOUNDER);
+        (is_needed && is_single).then(|| {
+            let own = DeviationParameter::Deviation { group: *link, unit: 1.0 };
+            let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
+            let mean: Vec<f64> = own.iter().map(|&i| best.mean[i]).collect();
+            let covariance = best.covariance_columns(&own).select_rows(&own);
+            let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
+            LinkDisplacement { joints: [columns[link - 1], columns[*link]], length_m }
+        })
     }
 }
 
