@@ -112,6 +112,9 @@ pub(crate) const DERIVED: &str = "derived";
 /// Evidence key of an inconclusive row whose unknown world frame may absorb the fault.
 pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
 
+/// Evidence key of an inconclusive row whose input contradicts itself, so that some fault is there.
+pub(crate) const CONTRADICTION: &str = "contradiction";
+
 /// Ordered by code; they are evaluated in this order.
 static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
     let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();

@@ -446,11 +446,19 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if is_open { Verdict::Inconclusive } else { Verdict::Pass }
 }
 
-/// Headline rules with input that decided none of their subjects, or must decide every subject and did not.
-/// Ignores subjects that no such log can decide, unless all are.
+/// Headline rules with input that decided none of their subjects, or must decide every subject and did not, and rules whose
+/// input contradicts itself. Ignores subjects that no such log can decide, unless all are.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
-    let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
-    headline.filter(|rule| {
+    let is_contradicted = |row: &CheckRow| {
+        row.status == Status::Inconclusive && row.evidence.contains_key(checks::CONTRADICTION)
+    };
+    checks::registry().iter().copied().filter(move |rule| {
+        if checks.iter().any(|row| row.code == rule.code && is_contradicted(row)) {
+            return true;
+        }
+        if !rule.headline {
+            return false;
+        }
         let rows = checks.iter().filter(|row| row.code == rule.code);
         let evaluated: Vec<&CheckRow> = rows.filter(|row| row.status != Status::Skipped).collect();
         if !evaluated.is_empty() && evaluated.iter().all(|row| row.is_indistinguishable) {
@@ -541,6 +549,12 @@ mod tests {
         assert_eq!(verdict_of(vec![row("ZER001", open, true)]), Verdict::Inconclusive);
         let others_decided = vec![row("ZER001", open, true), row("ZER001", decided, false)];
         assert_eq!(verdict_of(others_decided), Verdict::Pass);
+        let contradicted = CheckRow {
+            evidence: Map::from_iter([(checks::CONTRADICTION.to_owned(), true.into())]),
+            ..row("YAW003", open, false)
+        };
+        assert_eq!(verdict_of(vec![contradicted]), Verdict::Inconclusive);
+        assert_eq!(verdict_of(vec![row("YAW003", open, false)]), Verdict::Pass);
         let one_unproven = vec![row("MDL001", open, false), row("MDL001", decided, false)];
         assert_eq!(verdict_of(one_unproven), Verdict::Inconclusive);
     }

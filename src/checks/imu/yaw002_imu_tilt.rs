@@ -1,5 +1,5 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, not_observable};
-use crate::checks::{Case, Grade, SubjectResult};
+use crate::checks::{CONTRADICTION, Case, Grade, SubjectResult};
 use crate::diagnosis::{MeasuredLength, UpDirections};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -19,7 +19,8 @@ rule! {
     ///
     /// If the tilt is close to 90° or 180°, the finding names the world axis that points up instead of z
     /// (REP 145): z down is NED. `up_in_world` is the measured up direction in that frame, `up_in_base` the
-    /// same in the arm's base by FK and the mount.
+    /// same in the arm's base by FK and the mount. `contradiction` says that the tilt shows another encoding of the
+    /// orientation, which is not determined; the run does not pass then.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world frame.
@@ -51,21 +52,22 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         Ok(tilt) => tilt,
         Err(why) => return imu.judged(not_observable(why, SETTLE)),
     };
+    let threshold = case.thresholds.threshold(&YAW002, THRESHOLD);
     let as_logged =
         imu.diagnosis.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
     let outcome = match as_logged {
         false => Outcome::Inconclusive(
             "the orientation encoding is wrong; correct it first (ORD001 to ORD003)".to_owned(),
         ),
-        true => decide_length(
-            tilt,
-            &case.thresholds.threshold(&YAW002, THRESHOLD),
-            case.evidence.subjects(),
-        )
-        .into_outcome(SETTLE, |severity| fault(tilt, imu.diagnosis.up.as_ref(), severity)),
+        true => decide_length(tilt, &threshold, case.evidence.subjects())
+            .into_outcome(SETTLE, |severity| fault(tilt, imu.diagnosis.up.as_ref(), severity)),
     };
     let estimate = Estimate::length("tilt against gravity", THRESHOLD.unit, tilt);
     let judged = imu.judged(outcome).estimated(estimate);
+    let judged = match !as_logged && tilt.norm.value > threshold.warning {
+        true => judged.with_evidence(CONTRADICTION, true),
+        false => judged,
+    };
     match imu.diagnosis.up {
         Some(up) => judged
             .with_evidence("up_in_world", <[f64; 3]>::from(up.in_world).to_vec())

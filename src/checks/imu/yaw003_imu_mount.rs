@@ -1,6 +1,6 @@
 use super::unless_fk_is_wrong;
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, not_observable};
-use crate::checks::{Case, Grade, SubjectResult};
+use crate::checks::{CONTRADICTION, Case, Grade, SubjectResult};
 use crate::diagnosis::{ImuMountChange, MeasuredLength};
 use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -25,6 +25,8 @@ rule! {
     /// - `direction_cosines`: the same as a matrix, with one column per IMU axis and one row per link axis.
     /// - `axes`: the direction of each IMU axis in words.
     /// - `logged_direction_cosines`, `logged_axes`: for the mount in the log's frames.
+    /// - `contradiction`: if the motion does not show the mount, and with the logged one gravity is off the base's vertical.
+    ///   The run does not pass then.
     /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time.
     ///   `from`, `to`: angles to the logged mount before and after; `link_from_imu_after`: the mount after.
     ///
@@ -129,10 +131,12 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
             )
         }
         (Err(why), None) => match gravity_error(imu).filter(|tilt| *tilt > threshold.error) {
-            Some(tilt_rad) => imu.judged(Outcome::Inconclusive(format!(
-                "gravity is {} off the base's vertical: the mount is wrong, or the base is tilted; {SETTLE}",
-                THRESHOLD.unit.show(tilt_rad)
-            ))),
+            Some(tilt_rad) => imu
+                .judged(Outcome::Inconclusive(format!(
+                    "gravity is {} off the base's vertical: the mount is wrong, or the base is tilted; {SETTLE}",
+                    THRESHOLD.unit.show(tilt_rad)
+                )))
+                .with_evidence(CONTRADICTION, true),
             None => imu.judged(not_observable(why, SETTLE)),
         },
         (Ok(mount), None) => {

@@ -448,6 +448,8 @@ fn round_to_one(value: f64) -> f64 {
 }
 
 fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
+    // Deviations that a motion hides are not known.
+    let link_m = link_m.filter(|link_m| *link_m <= error.length.whole.rms);
     let by = link_m.map_or(String::new(), |link_m| {
         format!(": about {} per link", Unit::Metre.show(round_to_one(link_m)))
     });
