@@ -325,6 +325,21 @@ fn an_inverted_pose_is_found_together_with_a_misread_rotation() {
     }
 }
 
+/// The orientation of the inverse pose is nearly that of a tool that points down.
+#[test]
+fn positions_show_the_inverse_pose_of_a_tool_that_points_down() {
+    for task in [Task::Palletising, Task::Picking, Task::Conveyor] {
+        let report = Log::modified(|log| {
+            log.run.motion = Motion::Task(task);
+            log.run.pose.encoding = LoggedEncoding::Inverted;
+        })
+        .report();
+        let inverse = single_finding(&report, "ORD003", POSE);
+        IsReadAs("pose-inverse", "pose").assert_matches(inverse.estimate.as_ref());
+        assert_eq!(report.findings.len(), 1, "{task:?}: {}", summary(&report.findings));
+    }
+}
+
 #[test]
 fn positions_are_audited_without_orientations() {
     for unset in [[0.0; 4], [0.0, 0.0, 0.0, 1.0], [f64::NAN; 4]] {

@@ -40,13 +40,16 @@ rule! {
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     let mut judged = encoding::judge(case, EncodingFaultKind::Direction, report);
-    // Positions reveal an inverted pose if the orientations do not.
+    // Positions reveal an inverted pose if the orientations do not: a tool that points down and turns about the vertical has
+    // nearly the same orientation in the inverse pose.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
-        found.is_inverted && found.encoding.is_err() && !found.is_far_from_fk()
+        found.is_inverted && !found.is_far_from_fk()
     });
     for (_, stream) in inverted {
-        if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
+        let is_open = |row: &&mut SubjectResult| matches!(row.outcome, Outcome::Inconclusive(_));
+        let row = judged.iter_mut().find(|row| row.subject == stream.subject);
+        if let Some(row) = row.filter(is_open) {
             *row = stream
                 .judged(Outcome::fail(by_positions(&stream.diagnosis)))
                 .estimated(direction(RotationError::Inverted));
