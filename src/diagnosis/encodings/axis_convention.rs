@@ -31,6 +31,8 @@ const MIN_UNIT_SCALE: f64 = 1.25;
 /// Relative tolerance to identify a usual unit, or the residual if larger.
 const UNIT_TOLERANCE: f64 = 0.02;
 const MAX_TOOL_M: f64 = 1.5;
+/// Of inverse poses in the declared frames.
+const INVERSE_RANK: u32 = 4;
 const MAX_BASE_DISTANCE_M: f64 = 20.0;
 
 #[derive(Clone, Debug)]
@@ -102,7 +104,9 @@ pub(crate) fn candidate_encodings(
         found.iter().filter(|one| is(one)).map(|one| one.residual_m).fold(f64::INFINITY, f64::min)
     };
     let sound_m = least(&found, PositionEncoding::is_standard);
-    if sound_m > MAX_LOGGED_RESIDUAL_SHARE * extent_m {
+    // Without a rotated frame, which fits any planar motion as well.
+    let unrotated_m = least(&found, |one| one.is_standard() && one.rank <= INVERSE_RANK);
+    if unrotated_m > MAX_LOGGED_RESIDUAL_SHARE * extent_m {
         for search in [&as_logged, &inverted].into_iter().filter(|search| moves(search)) {
             for metres in std::iter::once(1.0).chain(search.units()) {
                 found.extend(search.candidates(metres, true));
@@ -120,7 +124,11 @@ pub(crate) fn candidate_encodings(
                     one.residual_m <= MAX_UNUSUAL_RESIDUAL_SHARE * extent_m
                         && MIN_UNUSUAL_RATIO * one.residual_m <= usual_m
                 }
-                false => one.is_explained && MAX_EQUIVALENT_RATIO * one.residual_m <= sound_m,
+                false => {
+                    let is_plain_inverse = one.is_inverted && one.rank == INVERSE_RANK;
+                    let other_m = if is_plain_inverse { unrotated_m } else { sound_m };
+                    one.is_explained && MAX_EQUIVALENT_RATIO * one.residual_m <= other_m
+                }
             };
             one.is_standard() || explains
         });
@@ -202,7 +210,7 @@ impl<'a> EncodingSearch<'a> {
             let is_mirrored = turn.determinant() < 0.0;
             let rank = [
                 (metres != 1.0, 4),
-                (self.is_inverted, 4),
+                (self.is_inverted, INVERSE_RANK),
                 (is_mirrored, 5),
                 (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
                 (axes.is_none() && known, 6),
