@@ -7,6 +7,7 @@ use crate::solver::noise::Noise;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
+use nalgebra::Point3;
 
 /// Of a segment of the run.
 pub(crate) const MIN_SEGMENT_SAMPLES: usize = 20;
@@ -27,12 +28,9 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     }
     let moves = vec![true; aligned.t_s.len()];
     let has_rotation = diagnosis.encoding.is_ok();
-    let series = ErrorSeries::from_poses(
-        &aligned.t_s,
-        &aligned.corrected,
-        &aligned.fk_at_truth,
-        has_rotation,
-    );
+    let [length, angle] = residual_vectors(diagnosis).map(|all| all.into_iter().map(Vec3::from));
+    let angle = has_rotation.then(|| angle.collect());
+    let series = ErrorSeries::new(&aligned.t_s, &aligned.fk_at_truth, length.collect(), angle);
     let error = series.error(&moves, true);
     let is_much = |(size, min_size): (&ErrorSize, f64)| {
         size.parts.iter().any(|PartError { magnitude: amount, .. }| {
@@ -63,7 +61,7 @@ fn stream_residual_m(diagnosis: &PoseDiagnosis) -> f64 {
 
 /// Whether the residual exceeds the noise, or its mean in some segment does.
 pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
-    has_large_residual(diagnosis) || has_slow_means(residual_vectors(&diagnosis.aligned))
+    has_large_residual(diagnosis) || has_slow_means(residual_vectors(diagnosis))
 }
 
 /// Whether residuals, m and rad, are larger than a healthy stream's and than their sample-to-sample noise.
@@ -116,10 +114,13 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
     vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
 }
 
-/// Position, m, and rotation, rad.
-pub(crate) fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
-    let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
-    let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
+/// Position, m, and rotation, rad, at the measured point. At the tip, a rotation error of a distant marker becomes a
+/// position error.
+pub(crate) fn residual_vectors(diagnosis: &PoseDiagnosis) -> [Vec<[f64; 3]>; 2] {
+    let AlignedSamples { corrected, fk_at_truth, .. } = &diagnosis.aligned;
+    let marker = Point3::from(diagnosis.frame_correction.tool.translation.vector);
+    let both = || corrected.iter().zip(fk_at_truth);
+    let length = both().map(|(is, fk)| (is * marker - fk * marker).into());
     let turn =
         both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())).into());
     [length.collect(), turn.collect()]

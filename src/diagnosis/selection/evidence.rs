@@ -60,7 +60,7 @@ struct ResidualNoise {
 fn noises(stream: &PoseDiagnosis, link_m: f64) -> [ResidualNoise; 2] {
     let does_not_follow =
         stream.residual.is_err() || matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)));
-    let [positions, rotations] = residual_vectors(&stream.aligned);
+    let [positions, rotations] = residual_vectors(stream);
     let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
         let mut noise = Noise::estimate(&residuals, &vec![1.0; residuals.len()], 0.0);
         noise.sigma = if is_explained { noise.sigma.hypot(model_error) } else { SIGMA_UNEXPLAINED };
