@@ -1022,6 +1022,11 @@ fn a_file_may_name_its_only_array() {
 fn lists_and_headers_alone_are_named_as_such() {
     let error = refusal(b"-0.9584\n0.5622\n-1.4576\n-2.1\n");
     assert!(error.contains("one number per line") && error.contains("paste -d,"), "{error}");
+    let pairs = |names: &str| names.to_owned() + "0.00,0.1\n0.01,0.2\n0.02,0.3\n0.03,0.4\n";
+    for text in [pairs("time,position\n"), pairs("")] {
+        let error = refusal(text.as_bytes());
+        assert!(error.contains("each joint is a column"), "{error}");
+    }
     let error = refusal(b"Time,q1,q2,q3,q4,q5,q6\n");
     assert!(error.contains("column names and no rows"), "{error}");
 }
