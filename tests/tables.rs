@@ -219,6 +219,21 @@ fn tables_without_common_times_are_aligned_by_motion() {
 }
 
 #[test]
+fn joints_without_names_that_repeat_an_arm_are_no_second_arm() {
+    let rows = CLEAN.rows();
+    let folder = tempfile::tempdir().expect("a folder");
+    let [named, unnamed] = ["joint_states.csv", "state.csv"].map(|name| folder.path().join(name));
+    let names = "time,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,\
+        wrist_2_joint,wrist_3_joint,x,y,z,qx,qy,qz,qw";
+    write_columns(&named, names, &rows, 1..14);
+    write_columns(&unnamed, "time,q0,q1,q2,q3,q4,q5", &rows, 1..7);
+    let options = Options { logs: vec![named, unnamed], ..Options::default() };
+    let report = audit(&options).map(poseaudit::Audited::into_report).expect("a report");
+    assert_eq!(report.robots.len(), 1, "{:?}", report.robots);
+    assert!(report.findings.iter().all(|found| found.code != "FRM007"), "{:?}", report.findings);
+}
+
+#[test]
 fn a_constant_pose_next_to_the_tool_pose_is_an_offset() {
     let header = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw,ee_offset_x,ee_offset_y,ee_offset_z,\
         ee_offset_qx,ee_offset_qy,ee_offset_qz,ee_offset_qw";
