@@ -202,6 +202,52 @@ fn tables_of_joints_and_poses_with_the_same_clock_are_one_run() {
 }
 
 #[test]
+fn tables_without_common_times_are_aligned_by_motion() {
+    const OFFSET_S: f64 = 500.0;
+    let rows = CLEAN.rows();
+    let mut later = rows.clone();
+    later.iter_mut().for_each(|row| row[0] += OFFSET_S);
+    let folder = tempfile::tempdir().expect("a folder");
+    let [joints, poses] = ["joints.csv", "poses.csv"].map(|name| folder.path().join(name));
+    write_columns(&joints, "time,q1,q2,q3,q4,q5,q6", &rows, 1..7);
+    write_columns(&poses, "time,x,y,z,qx,qy,qz,qw", &later, 7..14);
+    let run = RunOptions { robots: vec!["ur5e".into()], ..RunOptions::default() };
+    let options = Options { logs: vec![joints, poses], run, ..Options::default() };
+    let report = audit(&options).map(poseaudit::Audited::into_report).expect("a report");
+    assert_eq!(fault_codes(&report), ["TIM003"], "{:?}", report.findings);
+    assert!((value_of(&report, "TIM003") - OFFSET_S).abs() < 0.1);
+}
+
+#[test]
+fn joints_without_names_that_repeat_an_arm_are_no_second_arm() {
+    let rows = CLEAN.rows();
+    let folder = tempfile::tempdir().expect("a folder");
+    let [named, unnamed] = ["joint_states.csv", "state.csv"].map(|name| folder.path().join(name));
+    let names = "time,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,\
+        wrist_2_joint,wrist_3_joint,x,y,z,qx,qy,qz,qw";
+    write_columns(&named, names, &rows, 1..14);
+    write_columns(&unnamed, "time,q0,q1,q2,q3,q4,q5", &rows, 1..7);
+    let options = Options { logs: vec![named, unnamed], ..Options::default() };
+    let report = audit(&options).map(poseaudit::Audited::into_report).expect("a report");
+    assert_eq!(report.robots.len(), 1, "{:?}", report.robots);
+    assert!(report.findings.iter().all(|found| found.code != "FRM007"), "{:?}", report.findings);
+}
+
+#[test]
+fn a_constant_pose_next_to_the_tool_pose_is_an_offset() {
+    let header = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw,ee_offset_x,ee_offset_y,ee_offset_z,\
+        ee_offset_qx,ee_offset_qy,ee_offset_qz,ee_offset_qw";
+    let mut rows = CLEAN.rows();
+    rows.iter_mut().for_each(|row| row.extend([0.0, 0.0, 0.1034, 0.0, 0.0, 0.0, 1.0]));
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    write_columns(&path, header, &rows, 1..21);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert_eq!(fault_codes(&report), [""; 0], "{:?}", report.findings);
+    assert!(report.findings.iter().any(|found| found.code == "META002"), "{:?}", report.findings);
+}
+
+#[test]
 fn a_fault_free_table_passes_and_its_arm_is_identified() {
     let report = report_on_table(&CLEAN, None);
     assert_eq!(

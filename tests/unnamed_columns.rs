@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use poseaudit::config::{Config, template};
 use poseaudit::finding::Status;
-use poseaudit::geometry::xyzw_from_rotation;
+use poseaudit::geometry::{rotation_from_xyzw, xyzw_from_rotation};
 use poseaudit::log::ColumnSettings;
 use poseaudit::report::{Report, Verdict};
 use poseaudit::{Options, audit};
@@ -75,6 +75,22 @@ fn joints_and_pose_are_found_among_others_in_any_unit() {
         let gripper = found.streams.iter().find(|stream| stream.topic == "c0").expect("listed");
         assert!(gripper.reason.contains("two values"), "{}", gripper.reason);
     }
+}
+
+#[test]
+fn a_rotation_matrix_after_the_position_is_found() {
+    let mut rows = CLEAN.rows();
+    for row in &mut rows {
+        let q_xyzw = [row[10], row[11], row[12], row[13]];
+        let matrix = *rotation_from_xyzw(q_xyzw).expect("a rotation").to_rotation_matrix().matrix();
+        row.truncate(10);
+        row[7..].iter_mut().for_each(|metres| *metres *= 1e3);
+        // By rows.
+        row.extend(matrix.transpose().iter());
+    }
+    let found = report_on(&rows, None);
+    assert_eq!(columns_of(&found, "pose").len(), 12, "{:?}", found.streams);
+    assert_eq!((found.verdict, fault_codes(&found)), (Verdict::Pass, Vec::new()));
 }
 
 #[test]

@@ -142,6 +142,12 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
                               `paste -d, time.txt joint1.txt joint2.txt > run.csv`",
                 };
             }
+            rtde::FirstLine::Other if tables::is_list_of_pairs(bytes) => {
+                return FileFormat::Known {
+                    looks: "a table with one number besides its times",
+                    instead: "join the tables of one run, so that each joint is a column",
+                };
+            }
             rtde::FirstLine::Other => "text",
         }
     } else {

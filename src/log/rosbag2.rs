@@ -31,6 +31,8 @@ use super::{Extent, LogError, looks_like_log, read_head};
 #[cfg(not(target_arch = "wasm32"))]
 pub(super) use self::database::read as read_database;
 
+/// Levels of folders that are searched for logs.
+const MAX_FOLDER_DEPTH: usize = 4;
 const METADATA: &str = "metadata.yaml";
 
 /// Note on another file in the folder of a run.
@@ -187,6 +189,7 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
         let files = files_in(folder).unwrap_or_default();
         return match files.into_iter().filter(|path| is_bare_table(path)).collect::<Vec<_>>() {
             only if only.len() == 1 => Ok(only.into_iter().map(LogInput::bag_file).collect()),
+            _ if let Some(only) = only_table(folder) => Ok(vec![LogInput::bag_file(only)]),
             _ if contains_logs(folder) => Err(runs()),
             none if none.is_empty() => Err(refuse("without log files")),
             _ => Err(refuse("of tables without times, whose names show no joints or poses")),
@@ -219,6 +222,18 @@ fn is_bare_table(path: &Path) -> bool {
     let Ok(FileFormat::Table(format)) = format else { return false };
     matches!(format, TableFormat::Csv | TableFormat::Npy | TableFormat::Times)
         && !is_text_table(path)
+}
+
+/// The only log in the folder, if it is a table. A dataset's folder has metadata beside it.
+fn only_table(folder: &Path) -> Option<PathBuf> {
+    let is_table = |path: &PathBuf| {
+        let format = MappedFile::open(path).map(|it| file_format::detect_format(it.bytes()));
+        matches!(format, Ok(FileFormat::Table(_)))
+    };
+    let entries = fs::read_dir(folder).ok()?.flatten();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    let only = paths.pop().filter(|path| path.is_file() && is_table(path));
+    only.filter(|_| paths.is_empty())
 }
 
 /// Other files in the folder with the extension of the tables.
@@ -284,10 +299,17 @@ fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 
 /// Whether the folder or one of its subfolders contains a file that looks like a log.
 fn contains_logs(folder: &Path) -> bool {
+    contains_logs_within(folder, MAX_FOLDER_DEPTH)
+}
+
+fn contains_logs_within(folder: &Path, depth: usize) -> bool {
+    let is_log = |path: PathBuf| read_head(&path).is_some_and(|head| looks_like_log(&head));
+    if files_in(folder).unwrap_or_default().into_iter().any(is_log) {
+        return true;
+    }
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir());
-    let files = folders.chain([folder.to_owned()]).filter_map(|folder| files_in(&folder).ok());
-    files.flatten().any(|path| read_head(&path).is_some_and(|head| looks_like_log(&head)))
+    let mut folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir());
+    depth > 0 && folders.any(|folder| contains_logs_within(&folder, depth - 1))
 }
 
 fn is_log(path: &Path) -> bool {

@@ -241,7 +241,7 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = LagCache { max_lag_s, poses, imus: BTreeMap::new() };
-    let mut unlike = Vec::new();
+    let mut unlike: Vec<(NotAudited, bool)> = Vec::new();
     let is_own_frame =
         |found: &&NotAudited| matches!(found.reason, NotAuditedReason::OwnFrame { .. });
     let of_own_frame = run.not_audited.iter().filter(is_own_frame);
@@ -281,18 +281,22 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
                 let is_moved = found
                     .is_some_and(|(arm, source)| source.fk_motion_m(&arm.joints) > MIN_MOTION_M);
                 let is_presumed = run.streams[candidate].role == Role::Candidate { presumed: true };
+                let changes = found.is_some_and(|(_, source)| source.track.changes());
                 run.resolve_candidate(candidate, correlation, follows_otherwise);
                 let Stream { role, topic, .. } = &run.streams[candidate];
                 let is_named = tool_word(topic).is_some();
                 if *role == Role::Unassigned && is_moved && (is_named || is_presumed) {
                     let reason = NotAuditedReason::DoesNotFollow { correlation, is_named };
-                    unlike.push(NotAudited { stream: candidate, reason });
+                    unlike.push((NotAudited { stream: candidate, reason }, changes));
                 }
             }
         }
     }
     run.remove_rejected(&candidates);
-    run.not_audited.extend(unlike);
+    // Next to the tool's pose, a constant one is an offset, such as the TCP in the flange.
+    let has_pose = run.arms.iter().any(|arm| !arm.poses.is_empty());
+    let unlike = unlike.into_iter().filter(|(_, changes)| *changes || !has_pose);
+    run.not_audited.extend(unlike.map(|(unlike, _)| unlike));
 }
 
 /// Lead over the arm, s.

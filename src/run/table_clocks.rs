@@ -1,4 +1,5 @@
-//! Tables of one run whose clocks start at different times, such as 0 in one file and 1970 in another.
+//! Tables of one run whose clocks start at different times, such as 0 in one file and 1970 in another. Without common
+//! times, clocks start at different times as well.
 //!
 //! The speeds of joints and tool agree best at the offset of their clocks. Delays between such tables remain unknown.
 
@@ -29,7 +30,13 @@ struct ClockGroup {
     span: (i64, i64),
 }
 
-/// Aligns tables with different epochs by motion.
+impl ClockGroup {
+    fn overlaps(&self, other: &Self) -> bool {
+        self.span.0 <= other.span.1 && other.span.0 <= self.span.1
+    }
+}
+
+/// Aligns tables with different time origins by motion.
 ///
 /// # Errors
 /// If the motion does not show the offset.
@@ -53,10 +60,17 @@ pub fn align_table_clocks(log: &mut Log, options: &RunOptions) -> Result<(), Run
     let mut offsets: Vec<(Vec<usize>, i64)> = Vec::new();
     for group in &groups {
         let apart_s = seconds(group.span.0.saturating_sub(reference.span.0)).abs();
-        if apart_s < MIN_EPOCH_DIFFERENCE_S {
+        let (is_same_epoch, overlap) =
+            (apart_s < MIN_EPOCH_DIFFERENCE_S, group.overlaps(reference));
+        if is_same_epoch && overlap {
             continue;
         }
-        let (topic, offset) = group_offset(log, options, joints, group)?;
+        let (topic, offset) = match group_offset(log, options, joints, group) {
+            Ok(found) => found,
+            // Recordings of one clock may follow each other.
+            Err(_) if is_same_epoch => continue,
+            Err(refusal) => return Err(refusal),
+        };
         let what = format!(
             "'{}' begins at {} and '{}' at {}, so their clocks differ: aligned by motion, and delays between them \
              are unknown",
@@ -101,15 +115,17 @@ fn clock_groups(topics: &[Topic]) -> Vec<ClockGroup> {
         let times = topic.columns.as_ref().map(Columns::times).unwrap_or_default();
         let stamps = || times.iter().flat_map(|times| &times.header).copied();
         let (Some(first), Some(last)) = (stamps().min(), stamps().max()) else { continue };
+        let own = ClockGroup { topics: vec![at], span: (first, last) };
         let is_near = |group: &&mut ClockGroup| {
-            seconds(group.span.0.saturating_sub(first)).abs() < MIN_EPOCH_DIFFERENCE_S
+            let apart_s = seconds(group.span.0.saturating_sub(first)).abs();
+            apart_s < MIN_EPOCH_DIFFERENCE_S && group.overlaps(&own)
         };
         match groups.iter_mut().find(is_near) {
             Some(group) => {
                 group.topics.push(at);
                 group.span = (group.span.0.min(first), group.span.1.max(last));
             }
-            None => groups.push(ClockGroup { topics: vec![at], span: (first, last) }),
+            None => groups.push(own),
         }
     }
     groups
@@ -142,7 +158,7 @@ fn group_offset(
         return Err(refuse("it holds no tool positions to compare with the joints"));
     };
     let Some(Columns::Joints(columns)) = &log.topics[joints].columns else {
-        return Err(refuse("there are no joint states"));
+        return Err(refuse("the log lacks joint states"));
     };
     let (joint_origin, joint_track) = joint_track(columns);
     let span_s = |t_s: &[f64]| t_s.last().copied().unwrap_or_default();

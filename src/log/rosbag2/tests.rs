@@ -370,6 +370,19 @@ fn a_folder_without_metadata_is_read_if_it_is_one_recording() {
 }
 
 #[test]
+fn a_folder_with_one_table_is_that_table_and_nested_folders_are_several_runs() {
+    let folder = folder();
+    let run = folder.path().join("session/take/run");
+    fs::create_dir_all(&run).unwrap();
+    let row = |row: u32| format!("{{\"t\": {}, \"q\": [0, 0, {row}]}}\n", 0.01 * f64::from(row));
+    let rows: String = (0..30).map(row).collect();
+    fs::write(run.join("data.jsonl"), rows).unwrap();
+    assert_eq!(read(&run).files.len(), 1);
+    let error = try_read(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("logs of several runs"), "{error}");
+}
+
+#[test]
 fn a_broken_metadata_file_is_damage_to_the_index() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);

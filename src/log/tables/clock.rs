@@ -86,7 +86,7 @@ const MAX_NANOS: f64 = 9e18;
 pub(super) enum ClockError {
     /// It has no times.
     NoTimes(String),
-    /// Ambiguous times, or those of the config are none.
+    /// Ambiguous times, or a time column of the config that holds no times.
     Other(String),
 }
 
@@ -666,7 +666,7 @@ fn seconds_of_digits(column: &Column) -> Option<Column> {
     Some(Column { values, billionths: Vec::new(), ..column.clone() })
 }
 
-/// The other rows may be those of other streams.
+/// The other rows may belong to other streams.
 fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let of_dates = || {
         let days = seconds_of_days(column).map(|own| (own, "in days"));
@@ -694,7 +694,9 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
     let by_name = by_name.or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
     let is_whole = finite.iter().all(|value| value.fract() == 0.0);
     let rise = (finite[finite.len() - 1] - first) / (finite.len() - 1).max(1) as f64;
-    let unit = unit_s.or(by_name);
+    // Dates and times of day in text are in s, even below a name such as `timestamp_ms`.
+    let is_text = !column.billionths.is_empty() && column.billionths.iter().all(Option::is_none);
+    let unit = if is_text { Some(1.0) } else { unit_s.or(by_name) };
     let is_declared = unit.is_some();
     let unit = unit
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))

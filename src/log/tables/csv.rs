@@ -72,6 +72,23 @@ pub(crate) fn is_list_of_numbers(bytes: &[u8]) -> bool {
     rows().count() >= MIN_ROWS && rows().all(|row| is_number(row, b';'))
 }
 
+/// Whether each of its first lines has two numbers, such as a time and a value, below names or without them.
+pub(crate) fn is_list_of_pairs(bytes: &[u8]) -> bool {
+    const CHECKED_ROWS: usize = 100;
+    const MIN_ROWS: usize = 3;
+    let text = text_encoding::to_utf8(bytes);
+    let is_pair = |row: &[u8], delimiter: u8| {
+        let own = cells(row, delimiter);
+        own.len() == 2 && own.iter().all(|cell| is_number(cell, delimiter))
+    };
+    [b',', b';', b'\t', b' '].into_iter().any(|delimiter| {
+        let rows = lines(&text).map(|(_, _, row)| row).take(CHECKED_ROWS);
+        let rows: Vec<&[u8]> = rows.skip_while(|row| !is_pair(row, delimiter)).collect();
+        let skipped = lines(&text).take_while(|(_, _, row)| !is_pair(row, delimiter)).count();
+        skipped <= 1 && rows.len() >= MIN_ROWS && rows.iter().all(|row| is_pair(row, delimiter))
+    })
+}
+
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     let text = text_encoding::to_utf8(bytes);

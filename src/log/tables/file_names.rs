@@ -80,7 +80,7 @@ impl Table {
         }
     }
 
-    /// Names the only column, and separates stamps before the other numbers unless another file has the times.
+    /// Names the only column, and separates stamps before or after the other numbers unless another file has the times.
     pub(super) fn name_columns(&mut self, name: &str) {
         /// Positions, six joints or poses without times. Their first number may increase in each row.
         const COMPLETE_WIDTHS: [usize; 4] = [3, 6, 12, 16];
@@ -90,16 +90,24 @@ impl Table {
         }
         name.clone_into(&mut column.name);
         let (width, kind) = (column.width, column.kind.clone());
-        let first: Vec<f64> = column.values.iter().step_by(width.max(1)).copied().collect();
-        let is_clock = clock::increases_like_times(&first, &kind)
-            && (clock::exceed_joints(&first) || !COMPLETE_WIDTHS.contains(&width));
-        if width < 2 || self.times.is_some() || !is_clock {
+        if width < 2 || self.times.is_some() {
             return;
         }
-        let rest = column.values.chunks_exact(width).flat_map(|row| &row[1..]).copied().collect();
+        let numbers_at = |part: usize| -> Vec<f64> {
+            column.values.iter().skip(part).step_by(width).copied().collect()
+        };
+        let is_clock = |part: &usize| {
+            let own = numbers_at(*part);
+            let may_be_short = *part == 0 && !COMPLETE_WIDTHS.contains(&width);
+            clock::increases_like_times(&own, &kind) && (clock::exceed_joints(&own) || may_be_short)
+        };
+        let Some(part) = [0, width - 1].into_iter().find(is_clock) else { return };
+        let stamps = numbers_at(part);
+        let rest = column.values.iter().enumerate().filter(|(at, _)| at % width != part);
+        let rest = rest.map(|(_, number)| *number).collect();
         let own = Column { width: width - 1, values: rest, ..std::mem::take(column) };
         let times =
-            Column { name: "time".to_owned(), kind, width: 1, values: first, ..Column::default() };
+            Column { name: "time".to_owned(), kind, width: 1, values: stamps, ..Column::default() };
         self.columns = vec![times, own];
         if let Some(lost) = self.lost_rows.remove(&0) {
             self.lost_rows = BTreeMap::from([(0, lost.clone()), (1, lost)]);

@@ -15,7 +15,7 @@ use super::row_losses::may_be_clock;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH,
     RATE_NAMES, ReadColumn, ReadContext, RowLoss, Table, TableError, is_rate, is_transposed,
-    most_frequent, names, rate_in, row_counts,
+    most_frequent_rows, names, rate_in, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -189,7 +189,7 @@ impl GroupWalk {
                 DataSetColumn::new(name, dataset, sides(dataset), is_on_side)
             })
             .collect();
-        let main = most_frequent(arrays.iter().map(|array| array.rows));
+        let main = most_frequent_rows(arrays.iter().map(|array| array.rows));
         let with_clock = arrays.iter().filter(|array| may_be_clock(array.column.width));
         let clocks: HashSet<usize> = with_clock.map(|array| array.rows).collect();
         let mut read = |array: DataSetColumn| {

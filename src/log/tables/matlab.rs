@@ -1,12 +1,16 @@
 //! MATLAB's `.mat` files of versions 5 to 7, as `save` writes them by default. Version 7.3 is HDF5.
 //!
 //! Format: MathWorks, *MAT-File Format*, level 5. A file is a header and data elements; a variable is an element of
-//! elements, which may be compressed. Fields of structs become paths.
+//! elements, which may be compressed. Fields of structs become paths. `matlab/elements.rs` combines the arrays in the
+//! elements of cell arrays and struct arrays.
+
+mod elements;
 
 use std::io::Read;
 
 use flate2::read::ZlibDecoder;
 
+use self::elements::{ElementArray, ElementArrays};
 use super::npy::{ElementType, RawArray, tables_of_arrays};
 use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, RATE_NAMES, ReadContext, TableError};
 use crate::memory_budget::MemoryBudget;
@@ -17,13 +21,17 @@ const HEADER_BYTES: usize = 128;
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
 /// Classes of matrices.
+const CELL: u32 = 1;
 const STRUCT: u32 = 2;
 const NUMERIC: std::ops::RangeInclusive<u32> = 6..=15;
 const COMPLEX_FLAG: u32 = 0x800;
+/// Arrays within the elements of cell arrays and struct arrays.
+const MAX_ELEMENT_ARRAYS: usize = 1_000_000;
 
 #[derive(Default)]
 struct Variables {
     arrays: Vec<RawArray>,
+    elements: Vec<ElementArray>,
     rate_hz: Option<f64>,
     unread: Vec<(String, String)>,
 }
@@ -45,8 +53,23 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
             break;
         }
     }
-    let Variables { arrays, rate_hz, unread } = found;
-    tables_of_arrays(arrays, rate_hz, unread, context)
+    let Variables { mut arrays, elements, rate_hz, mut unread } = found;
+    match elements::combine(elements, &arrays, &mut unread) {
+        ElementArrays::Whole(combined) => {
+            arrays.extend(combined);
+            tables_of_arrays(arrays, rate_hz, unread, context)
+        }
+        ElementArrays::Episodes(episodes) => {
+            let mut all = Episodes::new();
+            for (at, mut own) in episodes.into_iter().enumerate() {
+                elements::add_shared(&mut own, &arrays);
+                let unread = std::mem::take(&mut unread);
+                let tables = tables_of_arrays(own, rate_hz, unread, context)?;
+                all.extend(tables.into_iter().map(|(_, table)| ((at + 1).to_string(), table)));
+            }
+            Ok(all)
+        }
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -104,13 +127,13 @@ impl Variables {
         memory: &mut MemoryBudget,
     ) -> Result<(), TableError> {
         match element.kind {
-            MATRIX => self.add_matrix(element.data, is_big, "", 0, memory),
+            MATRIX => self.add_matrix(element.data, is_big, &MatrixPlace::default(), memory),
             COMPRESSED => {
                 let unpacked = unpack(element.data, is_big, memory)?;
                 let mut inner = Elements { bytes: &unpacked, is_big };
                 match inner.next() {
                     Some(Ok(Element { kind: MATRIX, data })) => {
-                        self.add_matrix(data, is_big, "", 0, memory)
+                        self.add_matrix(data, is_big, &MatrixPlace::default(), memory)
                     }
                     Some(Err(why)) => Err(why),
                     _ => Ok(()),
@@ -120,13 +143,11 @@ impl Variables {
         }
     }
 
-    /// `path` names a field of a struct; variables have their own names.
     fn add_matrix(
         &mut self,
         data: &[u8],
         is_big: bool,
-        path: &str,
-        depth: usize,
+        place: &MatrixPlace,
         memory: &mut MemoryBudget,
     ) -> Result<(), TableError> {
         let mut elements = Elements { bytes: data, is_big };
@@ -141,26 +162,45 @@ impl Variables {
         let sides = next()?.data.chunks_exact(4).map(|word| number(word, is_big) as usize);
         let sides: Vec<usize> = sides.collect();
         let own = next()?.data;
-        let name = match path {
+        let name = match place.path.as_str() {
             "" => String::from_utf8_lossy(own).into_owned(),
             path => path.to_owned(),
         };
         let count = sides.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        let count = count.unwrap_or(usize::MAX);
         let class = flags & 0xff;
+        let is_several = class == CELL || (class == STRUCT && count > 1);
         let why = match class {
-            _ if count == Some(0) => return Ok(()),
-            STRUCT if count == Some(1) && depth < MAX_DEPTH => {
-                let width = next()?.data.get(..4).map_or(0, |word| number(word, is_big) as usize);
-                let fields = next()?.data.chunks_exact(width.max(1));
-                for field in fields {
-                    let field = field.split(|byte| *byte == 0).next().unwrap_or_default();
-                    let path = format!("{name}/{}", String::from_utf8_lossy(field));
-                    self.add_matrix(next()?.data, is_big, &path, depth + 1, memory)?;
+            _ if count == 0 => return Ok(()),
+            CELL | STRUCT if place.depth == MAX_DEPTH => "nested too deeply",
+            CELL | STRUCT if is_several && place.element.is_some() => {
+                "an array of cells or structs within another one; save its numbers as arrays"
+            }
+            CELL | STRUCT if count > MAX_ELEMENT_ARRAYS => "an array of too many elements",
+            CELL => {
+                for at in 0..count {
+                    let place = place.inner(name.clone(), Some(at));
+                    self.add_matrix(next()?.data, is_big, &place, memory)?;
                 }
                 return Ok(());
             }
-            STRUCT => "an array of structs, not numbers; save the numbers of its fields as arrays",
-            1 => "a cell array, not numbers; save the numbers of its cells as arrays",
+            STRUCT => {
+                let width = next()?.data.get(..4).map_or(0, |word| number(word, is_big) as usize);
+                let fields: Vec<String> = next()?
+                    .data
+                    .chunks_exact(width.max(1))
+                    .map(|field| field.split(|byte| *byte == 0).next().unwrap_or_default())
+                    .map(|field| format!("{name}/{}", String::from_utf8_lossy(field)))
+                    .collect();
+                for at in 0..count {
+                    for field in &fields {
+                        let element = is_several.then_some(at).or(place.element);
+                        let place = place.inner(field.clone(), element);
+                        self.add_matrix(next()?.data, is_big, &place, memory)?;
+                    }
+                }
+                return Ok(());
+            }
             4 => "text, not numbers",
             5 => "a sparse matrix; save it as a full one",
             _ if !NUMERIC.contains(&class) => {
@@ -169,27 +209,28 @@ impl Variables {
             _ if flags & COMPLEX_FLAG != 0 => "complex numbers",
             _ => {
                 let Element { kind, data } = next()?;
-                return self.add_array(name, sides, element_type(kind, is_big), data, memory);
+                let array = (name, sides, element_type(kind, is_big), data);
+                return self.add_array(array, place.element, memory);
             }
         };
-        self.unread.push((name, why.to_owned()));
+        if place.element.is_none_or(|element| element == 0) {
+            self.unread.push((name, why.to_owned()));
+        }
         Ok(())
     }
 
     fn add_array(
         &mut self,
-        name: String,
-        mut sides: Vec<usize>,
-        element: Option<ElementType>,
-        data: &[u8],
+        (name, mut sides, kind, data): (String, Vec<usize>, Option<ElementType>, &[u8]),
+        element: Option<usize>,
         memory: &mut MemoryBudget,
     ) -> Result<(), TableError> {
-        let Some(element) = element else {
+        let Some(kind) = kind else {
             self.unread.push((name, "numbers of an unknown type".to_owned()));
             return Ok(());
         };
-        if sides.iter().all(|side| *side == 1) {
-            let value = (data.len() >= element.size()).then(|| element.read(data));
+        if element.is_none() && sides.iter().all(|side| *side == 1) {
+            let value = (data.len() >= kind.size()).then(|| kind.read(data));
             let rate = value.filter(super::is_rate);
             let is_rate = RATE_NAMES.contains(&name.to_lowercase().as_str());
             self.rate_hz = rate.filter(|_| is_rate).or(self.rate_hz);
@@ -203,8 +244,31 @@ impl Variables {
             _ => sides.reverse(),
         }
         memory.reserve_bytes(data.len() as u64)?;
-        self.arrays.push(RawArray { name, element, sides, is_fortran, data: data.to_vec() });
+        let array = RawArray { name, element: kind, sides, is_fortran, data: data.to_vec() };
+        match element {
+            Some(_) if self.elements.len() >= MAX_ELEMENT_ARRAYS => {
+                return Err(format!("more than {MAX_ELEMENT_ARRAYS} arrays in its elements").into());
+            }
+            Some(element) => self.elements.push(ElementArray { element, array }),
+            None => self.arrays.push(array),
+        }
         Ok(())
+    }
+}
+
+/// Place of a matrix within a variable.
+#[derive(Default)]
+struct MatrixPlace {
+    /// Names a field of a struct, or a cell. Empty for variables, which have their own names.
+    path: String,
+    depth: usize,
+    /// Index in a cell array or struct array.
+    element: Option<usize>,
+}
+
+impl MatrixPlace {
+    fn inner(&self, path: String, element: Option<usize>) -> Self {
+        Self { path, depth: self.depth + 1, element }
     }
 }
 

@@ -697,6 +697,9 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             continue;
         }
         let (cells, names): (Vec<Cell>, Vec<String>) = members.into_iter().unzip();
+        if !names::are_several_limbs(&names) {
+            continue;
+        }
         let topic = if home.is_empty() { "joints".to_owned() } else { home };
         let why = describe_origin(table, &cells, "by joint names");
         groups.push(ColumnGroup {

@@ -56,7 +56,8 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 use self::clock::ClockError;
 pub(super) use self::csv::{
-    column_names, has_time, is_header_alone, is_list_of_numbers, is_table, is_table_of_text,
+    column_names, has_time, is_header_alone, is_list_of_numbers, is_list_of_pairs, is_table,
+    is_table_of_text,
 };
 pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
@@ -92,6 +93,8 @@ const MAX_COLUMNS: usize = 2000;
 const MAX_WIDTH: usize = 256;
 /// Real metadata files have up to 100 kB; parsed JSON takes up to 60 times as much memory.
 const MAX_METADATA_BYTES: u64 = 4 << 20;
+/// Longest array of parameters, such as one number per joint or a matrix. Runs have more rows.
+const MAX_PARAMETERS: usize = 16;
 /// Nesting of groups and features.
 const MAX_DEPTH: usize = 8;
 /// Names of the sampling rate.
@@ -901,6 +904,9 @@ fn row_counts(shapes: &[Vec<usize>]) -> RowCounts {
         let sides = [shape.first().copied(), long_side(shape)];
         sides.into_iter().flatten().for_each(|rows| *counts.entry(rows).or_default() += 1);
     }
+    if counts.keys().any(|rows| *rows > MAX_PARAMETERS) {
+        counts.retain(|rows, _| *rows > MAX_PARAMETERS);
+    }
     counts
 }
 
@@ -919,6 +925,12 @@ fn is_transposed(shape: &[usize], counts: &RowCounts) -> bool {
     let count = |rows: usize| counts.get(&rows).copied().unwrap_or(0);
     is_most
         || long_side(shape).is_some_and(|rows| count(rows) > 1 && count(rows) >= count(shape[0]))
+}
+
+/// Most frequent number of rows. Arrays of parameters count only if there are no longer ones.
+fn most_frequent_rows(rows: impl Iterator<Item = usize>) -> usize {
+    let (long, short): (Vec<usize>, Vec<usize>) = rows.partition(|rows| *rows > MAX_PARAMETERS);
+    most_frequent(if long.is_empty() { short } else { long }.into_iter())
 }
 
 fn most_frequent(rows: impl Iterator<Item = usize>) -> usize {

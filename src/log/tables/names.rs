@@ -1,5 +1,7 @@
 //! Identifies columns by name.
 
+use std::collections::BTreeSet;
+
 use crate::RotationLabels;
 
 /// Whether a name belongs to a transition (action, reward, episode end), as Gymnasium's `step` returns it.
@@ -156,6 +158,11 @@ const OTHER_WORDS: &[&str] = &[
     "delta",
     "jacobian",
     "error",
+    "errors",
+    "violation",
+    "collision",
+    "contact",
+    "reflex",
     "mask",
     "std",
     "sigma",
@@ -326,6 +333,8 @@ const UNIT_WORDS: &[&str] = &[
     "degs",
     "degree",
     "degrees",
+    "grad",
+    "grados",
     "meter",
     "meters",
     "metre",
@@ -367,10 +376,16 @@ fn contains_any(words: &[String], known: &[&str]) -> bool {
 /// Velocities or other quantities that are not audited.
 pub(super) fn is_other_quantity(words: &[String]) -> bool {
     contains_any(words, OTHER_WORDS)
+        || words.iter().any(|word| is_rate_of_other(word))
         || has_velocity_word(words)
         || is_motor_current(words)
         || is_tool_twist(words)
         || is_uncertainty(words)
+}
+
+/// `dtau`, the rate of a torque.
+fn is_rate_of_other(word: &str) -> bool {
+    word.strip_prefix('d').is_some_and(|of| OTHER_WORDS.contains(&of))
 }
 
 /// `U(95) X` of a laser tracker.
@@ -531,6 +546,16 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     let name = without_unit(name);
     let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
     (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
+}
+
+/// Whether the names are of several limbs, or of numbered joints. libfranka logs its elbow configuration as `elbow0` and `elbow1`.
+pub(super) fn are_several_limbs(names: &[String]) -> bool {
+    let limbs: BTreeSet<String> = names
+        .iter()
+        .flat_map(|name| split_words(name))
+        .filter(|word| LIMB_WORDS.contains(&word.as_str()))
+        .collect();
+    limbs.len() > 1 || ["joint", "arm"].iter().any(|word| limbs.contains(*word))
 }
 
 /// Whether the number belongs to a part of the arm, as in `wrist_1_pos`.
@@ -753,6 +778,7 @@ mod tests {
             ("ee_roll_deg", "ee", PoseComponent::Label(1, 0)),
             ("A_RIst", "rist", PoseComponent::Label(4, 0)),
             ("W [deg]", "", PoseComponent::Label(5, 0)),
+            ("A [Grad]", "", PoseComponent::Label(4, 0)),
             ("P", "", PoseComponent::Label(5, 1)),
             ("T", "", PoseComponent::Label(6, 2)),
             ("current_pos_x", "current", PoseComponent::Xyz(0)),
@@ -778,6 +804,16 @@ mod tests {
     }
 
     #[test]
+    fn joints_are_of_several_limbs() {
+        let are = |names: &[&str]| {
+            are_several_limbs(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>())
+        };
+        assert!(are(&["shoulder_pan", "shoulder_lift", "elbow", "wrist_1"]));
+        assert!(are(&["joint_1", "joint_2", "joint_3", "joint_4"]));
+        assert!(!are(&["elbow0", "elbow1", "elbow_d0", "elbow_d1"]));
+    }
+
+    #[test]
     fn numbered_joints_are_distinguished_from_other_columns() {
         for (name, is_joint) in [
             ("q1", true),
@@ -797,6 +833,8 @@ mod tests {
             ("D_Theta_1", false),
             ("DD_Theta_1", false),
             ("dtheta3", false),
+            ("field.dtau_J0", false),
+            ("field.joint_collision2", false),
         ] {
             let found = numbered(name).is_some_and(|(stem, _)| is_stem_of_joints(&stem));
             assert_eq!(found, is_joint, "{name}");

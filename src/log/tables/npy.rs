@@ -188,6 +188,7 @@ fn tables_of_columns(
 }
 
 /// An array of another format, with its numbers.
+#[derive(Clone)]
 pub(super) struct RawArray {
     pub name: String,
     pub element: ElementType,

@@ -13,10 +13,10 @@ const MIN_CHANGES: usize = 10;
 /// Topics compared with each other.
 const MAX_TOPICS: usize = 100;
 
-/// With the number of episodes that have each.
+/// With the number of tables that have each.
 #[derive(Default)]
 pub(super) struct RepeatCounts {
-    episodes: usize,
+    tables: BTreeMap<String, usize>,
     found: BTreeMap<Repeat, usize>,
 }
 
@@ -31,7 +31,9 @@ impl RepeatCounts {
         if measured.is_empty() {
             return;
         }
-        self.episodes += 1;
+        for (topic, _) in &measured {
+            *self.tables.entry((*topic).to_owned()).or_default() += 1;
+        }
         let all: Vec<ValueRows<'_>> =
             measured.iter().map(|(_, columns)| ValueRows::from_columns(columns)).collect();
         let moves = |at: usize| all[at].has_changes(MIN_CHANGES);
@@ -65,8 +67,10 @@ impl RepeatCounts {
     }
 
     pub fn in_all(self) -> Vec<Repeat> {
-        let all = self.found.into_iter().filter(|(_, count)| *count == self.episodes);
-        all.map(|(repeat, _)| repeat).collect()
+        let Self { tables, found } = self;
+        let is_always =
+            |(repeat, count): &(Repeat, usize)| tables.get(&repeat.topic) == Some(count);
+        found.into_iter().filter(is_always).map(|(repeat, _)| repeat).collect()
     }
 }
 

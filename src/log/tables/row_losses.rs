@@ -6,7 +6,9 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 use super::clock::{self, Clock};
-use super::{Column, ColumnSettings, Extent, Losses, Table, most_frequent, names};
+use super::{
+    Column, ColumnSettings, Extent, Losses, MAX_PARAMETERS, Table, most_frequent_rows, names,
+};
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
 use ground::stream::is_usable;
 
@@ -117,7 +119,7 @@ impl Table {
         memory: &mut MemoryBudget,
     ) -> Self {
         let rows =
-            rows.unwrap_or_else(|| most_frequent(candidates.iter().map(|column| column.rows)));
+            rows.unwrap_or_else(|| most_frequent_rows(candidates.iter().map(|column| column.rows)));
         let mut table = Self { rows, ..Self::default() };
         for candidate in candidates {
             table.add(candidate, memory);
@@ -128,9 +130,11 @@ impl Table {
     /// One table for the most frequent number of rows, then one for each other number whose columns have a clock of
     /// their own: streams of different rates. The first table reports the remaining columns.
     pub fn by_row_count(candidates: Vec<ReadColumn>, memory: &mut MemoryBudget) -> Vec<Self> {
-        let main = most_frequent(candidates.iter().map(|candidate| candidate.rows));
+        let main = most_frequent_rows(candidates.iter().map(|candidate| candidate.rows));
         let counts: BTreeSet<usize> = candidates.iter().map(|candidate| candidate.rows).collect();
-        let is_stream = |rows: &usize| *rows != main && has_own_clock(&candidates, *rows);
+        let is_stream = |rows: &usize| {
+            *rows != main && *rows > MAX_PARAMETERS && has_own_clock(&candidates, *rows)
+        };
         let streams: Vec<usize> = counts.into_iter().filter(is_stream).collect();
         let (others, own): (Vec<_>, Vec<_>) =
             candidates.into_iter().partition(|candidate| streams.contains(&candidate.rows));

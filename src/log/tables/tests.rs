@@ -241,6 +241,17 @@ fn dates_in_days_are_seconds_since_1970() {
 }
 
 #[test]
+fn dates_in_text_are_in_seconds_whatever_their_name() {
+    let row = |row: u32| {
+        format!("2026-01-31 23:59:{:02}.{:03},0,0,0,0,0,{row}\n", row / 10, 100 * (row % 10))
+    };
+    let rows: String = (0..40).map(row).collect();
+    let log = plain(("timestamp_ms,q1,q2,q3,q4,q5,q6\n".to_owned() + &rows).as_bytes());
+    let own = stamps(&log, "q");
+    assert_eq!((own[0], own[1] - own[0]), (1_769_903_940_000_000_000, 100_000_000));
+}
+
+#[test]
 fn dates_in_digits_are_seconds_since_1970() {
     let row = |row: i32| format!("202601312359{:02},0.{row:02},1,2,3,4,5\n", 10 + row);
     let text: String = (0..50).map(row).collect();
@@ -1022,6 +1033,11 @@ fn a_file_may_name_its_only_array() {
 fn lists_and_headers_alone_are_named_as_such() {
     let error = refusal(b"-0.9584\n0.5622\n-1.4576\n-2.1\n");
     assert!(error.contains("one number per line") && error.contains("paste -d,"), "{error}");
+    let pairs = |names: &str| names.to_owned() + "0.00,0.1\n0.01,0.2\n0.02,0.3\n0.03,0.4\n";
+    for text in [pairs("time,position\n"), pairs("")] {
+        let error = refusal(text.as_bytes());
+        assert!(error.contains("each joint is a column"), "{error}");
+    }
     let error = refusal(b"Time,q1,q2,q3,q4,q5,q6\n");
     assert!(error.contains("column names and no rows"), "{error}");
 }

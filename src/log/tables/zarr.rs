@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use self::array::ZarrArray;
 use self::store::ZarrStore;
 use super::{
-    Column, Episodes, MAX_EPISODES, ReadColumn, ReadContext, Table, TableError, most_frequent,
+    Column, Episodes, MAX_EPISODES, ReadColumn, ReadContext, Table, TableError, most_frequent_rows,
     rate_in,
 };
 use crate::containment::Containment;
@@ -145,7 +145,7 @@ fn open_store(at: StoreLocation) -> Result<StoreContents, TableError> {
     }
     let rows = match ends.as_ref().and_then(|ends| ends.values.last()) {
         Some(last) => *last as usize,
-        None => most_frequent(arrays.iter().map(ZarrArray::rows)),
+        None => most_frequent_rows(arrays.iter().map(ZarrArray::rows)),
     };
     // With episodes, shorter arrays cannot be aligned.
     arrays.retain(|array| ends.is_none() || array.rows() > rows / 2);

@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use crate::robot::nearest;
-use crate::stream::{Columns, JointColumn};
+use crate::stream::{Columns, JointColumn, JointColumns};
 
 use super::super::arm::{Arm, ChainEnds};
 use super::super::catalogue_selection::RankingCriteria;
@@ -171,11 +171,34 @@ impl Assembly<'_> {
         Ok(arms)
     }
 
+    /// Topics without joint names whose positions are those of an arm's topic.
+    fn copied_joint_topics(&self) -> HashSet<usize> {
+        let columns = |index: usize| match &self.streams[index].columns {
+            Some(Columns::Joints(columns)) => Some(columns),
+            _ => None,
+        };
+        let sources: HashSet<usize> =
+            self.arms.iter().flat_map(|arm| &arm.joint_sources).map(|joint| joint.stream).collect();
+        let is_copy = |own: &JointColumns, source: usize| {
+            columns(source).is_some_and(|of| {
+                let pairs = own.joints.iter().zip(&of.joints);
+                own.joints.len() == of.joints.len()
+                    && pairs.into_iter().all(|(own, of)| own.position == of.position)
+            })
+        };
+        let unnamed = (0..self.streams.len()).filter(|index| !sources.contains(index));
+        let unnamed = unnamed.filter_map(|index| Some((index, columns(index)?)));
+        let copies = unnamed
+            .filter(|(_, own)| own.unnamed && sources.iter().any(|&source| is_copy(own, source)));
+        copies.map(|(index, _)| index).collect()
+    }
+
     pub(super) fn assign_joint_topics(&mut self) {
         let arms = &self.arms;
         if arms.iter().all(|arm| arm.trajectory.is_some()) {
             return;
         }
+        let copies = self.copied_joint_topics();
         for (index, stream) in self.streams.iter_mut().enumerate() {
             let (Role::Joints, Some(Columns::Joints(columns))) = (stream.role, &stream.columns)
             else {
@@ -195,7 +218,7 @@ impl Assembly<'_> {
                 |joint: &JointColumn| arms.iter().any(|arm| arm.robot.joint(&joint.name).is_some());
             let unknown: Vec<&JointColumn> =
                 columns.joints.iter().filter(|joint| is_stranger || !is_known(joint)).collect();
-            if are_arm_joints(&unknown) {
+            if are_arm_joints(&unknown) && !copies.contains(&index) {
                 let joints = unknown.iter().map(|joint| joint.name.clone()).collect();
                 let why = NotAuditedReason::NoModel { joints };
                 self.not_audited.push(NotAudited { stream: index, reason: why });

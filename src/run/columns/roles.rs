@@ -337,27 +337,28 @@ impl ColumnSearch<'_> {
             };
             whole.filter(is_other).map(<[usize]>::to_vec).collect::<Vec<_>>()
         };
-        for (from, count) in [(first + 3, 4), (first - 4, 4), (first + 3, 3), (first - 3, 3)] {
-            let Some(columns) = block(from, &sixteen[..count]) else { continue };
-            match turns(&columns) {
-                Some(true) => {
-                    let reason = format!("{} match FK's rotation", self.label(&columns));
-                    return ([mapping.position.as_slice(), &columns].concat(), reason);
-                }
-                Some(false) => {}
-                None => is_at_rest = true,
-            }
-        }
-        if let Some(columns) = arrays().into_iter().find(|own| turns(own) == Some(true)) {
-            let reason = format!("{} match FK's rotation", self.label(&columns));
-            let pose = match columns.as_slice() {
+        let with_position = |columns: &[usize]| -> (Vec<usize>, String) {
+            let pose = match columns {
                 nine @ [_, _, _, _, _, _, _, _, _] => {
                     let rows = nine.chunks(3).zip(mapping.position);
                     rows.flat_map(|(row, position)| row.iter().copied().chain([position])).collect()
                 }
-                _ => [mapping.position.as_slice(), &columns].concat(),
+                _ => [mapping.position.as_slice(), columns].concat(),
             };
-            return (pose, reason);
+            (pose, format!("{} match FK's rotation", self.label(columns)))
+        };
+        for count in [4, 3, 9] {
+            for from in [first + 3, first - count as isize] {
+                let Some(columns) = block(from, &sixteen[..count]) else { continue };
+                match turns(&columns) {
+                    Some(true) => return with_position(&columns),
+                    Some(false) => {}
+                    None => is_at_rest = true,
+                }
+            }
+        }
+        if let Some(columns) = arrays().into_iter().find(|own| turns(own) == Some(true)) {
+            return with_position(&columns);
         }
         let reason = match is_at_rest {
             true => "the tool rotates too little to identify its rotation",

@@ -56,6 +56,19 @@ fn files_of_bare_numbers_are_read_by_their_names() {
 }
 
 #[test]
+fn stamps_after_the_other_numbers_are_found() {
+    let row = |row: usize| {
+        let t = 0.02 * row as f64;
+        let cells: Vec<String> = (0..6).map(|at| format!("{:.6}", position(t, at))).collect();
+        format!("{} {:.3}\n", cells.join(" "), 9.7 + t)
+    };
+    let text: String = (0..800).map(row).collect();
+    let log = open_files(&[("joint_angles.txt", &text)], 1).expect("a log");
+    assert_eq!(stamps(&log, "joint_angles")[..2], [9_700_000_000, 9_720_000_000]);
+    assert_eq!(joints(&log, "joint_angles").1[3].len(), 6);
+}
+
+#[test]
 fn six_joints_that_increase_are_not_taken_for_times() {
     let row = |at: u32| vec![format!("{:.4}", 0.01 * f64::from(at)); 6].join(",") + "\n";
     let rising: String = (1..60).map(row).collect();

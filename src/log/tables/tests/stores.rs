@@ -541,8 +541,38 @@ fn variables_of_matlab_are_arrays_and_fields_of_structs_are_paths() {
     }
 }
 
+/// Written by `scipy.io.savemat`: two cells with a struct of `Time` and `q` of 6 by 18 and 20; an array of 20 structs with
+/// `t` and `q`; and six cells of `q` next to `t` and six parameters per joint.
+const ELEMENTS: [(&str, &[u8]); 3] = [
+    ("Data/q", include_bytes!("../fixtures/cells_of_runs.mat")),
+    ("sample/q", include_bytes!("../fixtures/structs_of_rows.mat")),
+    ("q", include_bytes!("../fixtures/cells_of_joints.mat")),
+];
+
+#[test]
+fn elements_of_matlab_are_episodes_rows_or_columns() {
+    for (name, file) in ELEMENTS {
+        let log = plain(file);
+        let (_, rows) = joints(&log, name);
+        let count = if name == "Data/q" { 38 } else { 20 };
+        assert_eq!((rows.len(), rows[3].len()), (count, 6), "{name}");
+        assert!((rows[3][5] - 0.035).abs() < 1e-12, "{name}: {:?}", rows[3]);
+        assert_eq!(stamps(&log, name)[5], 50_000_000, "{name}");
+    }
+    let (_, rows) = joints(&plain(ELEMENTS[0].1), "Data/q");
+    assert!((rows[18 + 3][5] - 1.035).abs() < 1e-12, "{:?}", rows[21]);
+}
+
 #[test]
 fn truncated_and_changed_files_of_matlab_are_one_line_or_losses() {
+    for (_, file) in ELEMENTS {
+        for end in (0..file.len()).step_by(29) {
+            let _ = read(&file[..end], ColumnSettings::default());
+            let mut changed = file.to_vec();
+            changed[end] ^= 0xff;
+            let _ = read(&changed, ColumnSettings::default());
+        }
+    }
     for file in VARIABLES {
         for end in (0..file.len()).step_by(61) {
             let _ = read(&file[..end], ColumnSettings::default());
