@@ -18,6 +18,7 @@ use crate::compliance::{
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_slow_residual, residual_m};
 use crate::selection::evidence::{fits_as_well, likeliest};
+use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{ArmDiagnosis, JointCompliance, JointDiagnosis, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
 
@@ -49,7 +50,11 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         let found =
             may_be_derived.then(|| diagnose_derived(run.joints, None, stream, run.max_lag_s))?;
         let is_nominal = has_slow_residual(&found);
-        is_explained(&found, stream).then_some(PoseDiagnosis {
+        // A frame that explains the rest would not be reported.
+        let is_near = found.residual.as_ref().is_ok_and(|residual| {
+            residual.rms_m < MAX_TIP_CHANGE_M && residual.rms_rad < MAX_TIP_CHANGE_RAD
+        });
+        (is_near && is_explained(&found, stream)).then_some(PoseDiagnosis {
             is_nominal,
             is_derived: true,
             ..found
