@@ -8,15 +8,15 @@
 use crate::arm::{are_floating, diagnose_derived};
 use crate::arm_run::ArmRun;
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_encoding_changes,
-    diagnose_with_recorded_encoding_changes, is_explained,
+    self, constant_frames_suffice, diagnose_with_cause_changes, diagnose_with_encoding_changes,
+    diagnose_with_recorded_encoding_changes,
 };
 use crate::compliance::{
     diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
     has_unusual_compliance,
 };
 use crate::latency::compensation::{CompensatedRun, with_tracks};
-use crate::residuals::comparison::{has_slow_residual, residual_m};
+use crate::residuals::comparison::{has_large_residual, has_slow_residual, residual_m};
 use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{ArmDiagnosis, JointCompliance, JointDiagnosis, PoseDiagnosis, PoseStream};
@@ -54,7 +54,7 @@ fn diagnose_without_derived(run: &ArmRun, together: &ArmDiagnosis) -> Option<Arm
         let is_near = found.residual.as_ref().is_ok_and(|residual| {
             residual.rms_m < MAX_TIP_CHANGE_M && residual.rms_rad < MAX_TIP_CHANGE_RAD
         });
-        (is_near && is_explained(&found, stream)).then_some(PoseDiagnosis {
+        (is_near && changes::is_explained(&found, stream)).then_some(PoseDiagnosis {
             is_nominal,
             is_derived: true,
             ..found
@@ -122,7 +122,12 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
     let is_enough = |it: &ArmDiagnosis| {
         is_explained(it) || residual_m(it) < MAX_RESIDUAL_SHARE * residual_m(constant)
     };
-    let by_gain = diagnose_with_gain(run, constant).filter(is_enough);
+    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
+        has_large_residual(found) && !changes::is_explained(found, stream)
+    };
+    let is_any_open = constant.streams.iter().zip(run.streams).any(is_open);
+    let by_gain = is_any_open.then(|| diagnose_with_gain(run, constant)).flatten();
+    let by_gain = by_gain.filter(is_enough);
     let gain_as_compliance = diagnose_gain_as_compliance(run, by_gain.as_ref().unwrap_or(constant));
     let is_gain_explained = by_gain.as_ref().is_some_and(is_explained);
     let by_gain = by_gain.filter(|_| !is_gain_explained || gain_as_compliance.is_none());

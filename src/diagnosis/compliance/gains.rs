@@ -8,14 +8,12 @@ use super::shapes::USUAL_COMPLIANCE_RAD;
 use super::system::{Coefficient, ComplianceSystem};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
-use crate::changes::is_explained;
 use crate::joints::MIN_MOTION_RAD;
 use crate::priors::price;
-use crate::residuals::comparison::has_large_residual;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{
     ArmDiagnosis, JointCoupling, JointEncoding, JointUnit, JointUnitError, PoseDiagnosis,
-    PoseStream, UnitResiduals,
+    UnitResiduals,
 };
 use ground::stats::Measured;
 
@@ -30,13 +28,9 @@ struct Gain {
 /// Diagnosis with another scale or coupling of a joint. `None` if it is not likelier than `diagnosis`, which has no
 /// compliance and no changes, or if that has another encoding of the joint states.
 pub(crate) fn diagnose_with_gain(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
-        has_large_residual(found) && !is_explained(found, stream)
-    };
     let is_applicable = !are_floating(run.streams)
         && diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged)
-        && !diagnosis.streams.iter().any(PoseDiagnosis::is_far_from_fk)
-        && diagnosis.streams.iter().zip(run.streams).any(is_open);
+        && !diagnosis.streams.iter().any(PoseDiagnosis::is_far_from_fk);
     if !is_applicable {
         return None;
     }
