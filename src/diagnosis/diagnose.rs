@@ -235,6 +235,47 @@ mod tests {
         assert!((size.value - BACKLASH_RAD).abs() < 0.1 * BACKLASH_RAD, "{size:?}");
     }
 
+    /// Steps of the joint's zero imitate backlash, but not with the slip of the tool alone.
+    #[test]
+    fn backlash_is_found_beside_a_tool_that_slips() {
+        const BACKLASH_RAD: f64 = 0.01;
+        const SLIP_M: f64 = 0.008;
+        const SLIP_S: f64 = 9.0;
+        const JOINT: usize = 2;
+        let (joints, _) = test_motion::arm();
+        let mut link = joints.q[JOINT];
+        let mut follow = |encoder: f64| {
+            link = link.clamp(encoder - 0.5 * BACKLASH_RAD, encoder + 0.5 * BACKLASH_RAD);
+            link
+        };
+        let links: Vec<f64> = joints.q.chunks(6).map(|q| follow(q[JOINT])).collect();
+        let [_, mut tracker] =
+            controller_and_tracker(&joints, 1e-4, |row, q| q[JOINT] = links[row]);
+        let Orientations::Rotations(rotations) = &tracker.orientation else {
+            panic!("{:?}", tracker.orientation)
+        };
+        let rows = tracker.xyz.iter_mut().zip(rotations).zip(&tracker.t_s);
+        for ((xyz, rotation), _) in rows.filter(|(_, t_s)| **t_s > SLIP_S) {
+            *xyz += rotation * Vec3::new(0.0, SLIP_M, 0.0);
+        }
+        let (_, chain) = test_motion::arm();
+        let stream =
+            PoseStream { reference_known: false, ..test_motion::tip_stream(&tracker, &chain) };
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
+        let [backlash] = found.joints.compliance.as_slice() else {
+            panic!("{:?}", found.joints.compliance)
+        };
+        assert!(backlash.is_backlash() && backlash.column == JOINT, "{backlash:?}");
+        let size = &backlash.value;
+        assert!((size.value - BACKLASH_RAD).abs() < 0.1 * BACKLASH_RAD, "{size:?}");
+        let [slip] = found.streams[0].tool_changes.as_slice() else {
+            panic!("{:?}", found.streams[0].tool_changes)
+        };
+        assert!((slip.at_s - SLIP_S).abs() < 0.05, "{slip:?}");
+        assert!((slip.size.translation_m.value - SLIP_M).abs() < 5e-4, "{slip:?}");
+        assert!(found.joints.changes.is_empty(), "{:?}", found.joints.changes);
+    }
+
     /// In a small motion, a misread rotation vector is within a calibration's deviations from FK. No joint zero explains it.
     #[test]
     fn a_small_misreading_is_no_deviation_of_the_arm() {
