@@ -25,6 +25,7 @@ use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{RoleSetting, TopicSettings};
 use super::assembly::{Assembly, is_topic};
 use super::declaration_error;
+use super::trajectories::may_be_poses;
 
 pub(super) struct StreamFrames {
     pub frame: FrameKind,
@@ -297,7 +298,14 @@ impl Assembly<'_> {
             }
         }
         if let Some(Columns::Array(array)) = &stream.columns {
-            return array_role(&stream.topic, array.width, is_declared);
+            let role = array_role(&stream.topic, array.width, is_declared);
+            return match role {
+                (Role::Candidate { presumed: false }, _) if !may_be_poses(array) => (
+                    Role::Ignored,
+                    "the last four of 7 numbers per row are no quaternion".to_owned(),
+                ),
+                role => role,
+            };
         }
         let place =
             |frame: &str| if frame.is_empty() { FrameKind::Unnamed } else { FrameKind::Unknown };

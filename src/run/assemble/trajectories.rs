@@ -221,7 +221,7 @@ impl Assembly<'_> {
 }
 
 /// Seven joint positions are no quaternion.
-fn may_be_poses(array: &ArrayColumns) -> bool {
+pub(super) fn may_be_poses(array: &ArrayColumns) -> bool {
     /// Deviation from unit norm, for numbers with two digits.
     const MAX_DEFECT: f64 = 0.03;
     if array.width != 7 {
