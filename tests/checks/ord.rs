@@ -361,6 +361,33 @@ fn positions_are_audited_without_orientations() {
     }
 }
 
+/// Such as commanded joints of an arm with seven joints.
+#[test]
+fn seven_numbers_without_a_quaternion_are_no_pose() {
+    const VECTOR: &str = "/arm/vector";
+    let report = Log::modified(|log| {
+        log.edit = Some(|messages| {
+            let poses = messages.iter().filter(|message| message.topic == POSE).cloned();
+            let vectors = poses.map(|mut message| {
+                let numbers = message.fields().into_iter().flat_map(|field| match field {
+                    Field::Stamp(_) => Vec::new(),
+                    Field::Xyz(at, _) => message.floats::<3>(at).to_vec(),
+                    Field::Xyzw(at) => message.floats::<4>(at).map(|part| 2.2 * part).to_vec(),
+                });
+                let numbers: Vec<f64> = numbers.collect();
+                message.become_array(VECTOR, &numbers);
+                message
+            });
+            let vectors: Vec<Message> = vectors.collect();
+            messages.extend(vectors);
+        });
+    })
+    .report();
+    assert!(report.findings.is_empty(), "{}", summary(&report.findings));
+    let vector = report.streams.iter().find(|row| row.topic == VECTOR).expect("a stream");
+    assert!(vector.reason.contains("no quaternion"), "{}", vector.reason);
+}
+
 /// The report on a log with poses as unnamed numbers, without the finding about missing stamps.
 fn report_of_numbers(edit: fn(&mut Vec<Message>)) -> Report {
     let mut report = Log::modified(|log| log.edit = Some(edit)).report();
