@@ -363,7 +363,7 @@ fn positions_are_audited_without_orientations() {
 
 /// Such as commanded joints of an arm with seven joints.
 #[test]
-fn seven_numbers_without_a_quaternion_are_no_pose() {
+fn seven_numbers_without_a_quaternion_are_not_a_pose() {
     const VECTOR: &str = "/arm/vector";
     let report = Log::modified(|log| {
         log.edit = Some(|messages| {
@@ -385,7 +385,7 @@ fn seven_numbers_without_a_quaternion_are_no_pose() {
     .report();
     assert!(report.findings.is_empty(), "{}", summary(&report.findings));
     let vector = report.streams.iter().find(|row| row.topic == VECTOR).expect("a stream");
-    assert!(vector.reason.contains("no quaternion"), "{}", vector.reason);
+    assert!(vector.reason.contains("not a quaternion"), "{}", vector.reason);
 }
 
 /// The report on a log with poses as unnamed numbers, without the finding about missing stamps.

@@ -302,7 +302,8 @@ impl Assembly<'_> {
             return match role {
                 (Role::Candidate { presumed: false }, _) if !may_be_poses(array) => (
                     Role::Ignored,
-                    "the last four of 7 numbers per row are no quaternion".to_owned(),
+                    "7 numbers per row are not a pose: the last four are not a quaternion"
+                        .to_owned(),
                 ),
                 role => role,
             };
