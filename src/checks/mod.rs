@@ -112,7 +112,7 @@ pub(crate) const DERIVED: &str = "derived";
 /// Evidence key of an inconclusive row whose unknown world frame may absorb the fault.
 pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
 
-/// Evidence key of an inconclusive row whose input contradicts itself, so that some fault is there.
+/// Evidence key of an inconclusive row whose inputs contradict each other. The run does not pass.
 pub(crate) const CONTRADICTION: &str = "contradiction";
 
 /// Ordered by code; they are evaluated in this order.

@@ -187,6 +187,27 @@ mod tests {
         [controller, tracker]
     }
 
+    /// Positions of a joint's link.
+    fn with_backlash(joints: &JointTrack, joint: usize, backlash_rad: f64) -> Vec<f64> {
+        let half_rad = 0.5 * backlash_rad;
+        let mut link = joints.q[joint];
+        let follow = |q: &[f64]| {
+            link = link.clamp(q[joint] - half_rad, q[joint] + half_rad);
+            link
+        };
+        joints.q.chunks(6).map(follow).collect()
+    }
+
+    /// Asserts backlash of this joint alone, within a tenth.
+    fn assert_backlash(found: &ArmDiagnosis, joint: usize, backlash_rad: f64) {
+        let [backlash] = found.joints.compliance.as_slice() else {
+            panic!("{:?}", found.joints.compliance)
+        };
+        assert!(backlash.is_backlash() && backlash.column == joint, "{backlash:?}");
+        let off_rad = (backlash.value.value - backlash_rad).abs();
+        assert!(off_rad < 0.1 * backlash_rad, "{backlash:?}");
+    }
+
     fn diagnose_both(joints: &JointTrack, [controller, tracker]: &[PoseTrack; 2]) -> ArmDiagnosis {
         let (_, chain) = test_motion::arm();
         let streams = [
@@ -219,20 +240,10 @@ mod tests {
         const BACKLASH_RAD: f64 = 6e-3;
         const JOINT: usize = 3;
         let (joints, _) = test_motion::arm();
-        let mut link = joints.q[JOINT];
-        let mut follow = |encoder: f64| {
-            link = link.clamp(encoder - 0.5 * BACKLASH_RAD, encoder + 0.5 * BACKLASH_RAD);
-            link
-        };
-        let links: Vec<f64> = joints.q.chunks(6).map(|q| follow(q[JOINT])).collect();
+        let links = with_backlash(&joints, JOINT, BACKLASH_RAD);
         let tracks = controller_and_tracker(&joints, 2e-4, |row, q| q[JOINT] = links[row]);
         let found = diagnose_both(&joints, &tracks);
-        let [backlash] = found.joints.compliance.as_slice() else {
-            panic!("{:?}", found.joints.compliance)
-        };
-        assert!(backlash.is_backlash() && backlash.column == JOINT, "{backlash:?}");
-        let size = &backlash.value;
-        assert!((size.value - BACKLASH_RAD).abs() < 0.1 * BACKLASH_RAD, "{size:?}");
+        assert_backlash(&found, JOINT, BACKLASH_RAD);
     }
 
     /// Steps of the joint's zero imitate backlash, but not with the slip of the tool alone.
@@ -243,12 +254,7 @@ mod tests {
         const SLIP_S: f64 = 9.0;
         const JOINT: usize = 2;
         let (joints, _) = test_motion::arm();
-        let mut link = joints.q[JOINT];
-        let mut follow = |encoder: f64| {
-            link = link.clamp(encoder - 0.5 * BACKLASH_RAD, encoder + 0.5 * BACKLASH_RAD);
-            link
-        };
-        let links: Vec<f64> = joints.q.chunks(6).map(|q| follow(q[JOINT])).collect();
+        let links = with_backlash(&joints, JOINT, BACKLASH_RAD);
         let [_, mut tracker] =
             controller_and_tracker(&joints, 1e-4, |row, q| q[JOINT] = links[row]);
         let Orientations::Rotations(rotations) = &tracker.orientation else {
@@ -262,12 +268,7 @@ mod tests {
         let stream =
             PoseStream { reference_known: false, ..test_motion::tip_stream(&tracker, &chain) };
         let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
-        let [backlash] = found.joints.compliance.as_slice() else {
-            panic!("{:?}", found.joints.compliance)
-        };
-        assert!(backlash.is_backlash() && backlash.column == JOINT, "{backlash:?}");
-        let size = &backlash.value;
-        assert!((size.value - BACKLASH_RAD).abs() < 0.1 * BACKLASH_RAD, "{size:?}");
+        assert_backlash(&found, JOINT, BACKLASH_RAD);
         let [slip] = found.streams[0].tool_changes.as_slice() else {
             panic!("{:?}", found.streams[0].tool_changes)
         };

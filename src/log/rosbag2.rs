@@ -224,7 +224,7 @@ fn is_bare_table(path: &Path) -> bool {
         && !is_text_table(path)
 }
 
-/// The only log in the folder, if it is a table. A dataset's folder has metadata beside it.
+/// The only log in the folder, if it is a table. A dataset's folder also holds metadata.
 fn only_table(folder: &Path) -> Option<PathBuf> {
     let is_table = |path: &PathBuf| {
         let format = MappedFile::open(path).map(|it| file_format::detect_format(it.bytes()));

@@ -446,8 +446,8 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if is_open { Verdict::Inconclusive } else { Verdict::Pass }
 }
 
-/// Headline rules with input that decided none of their subjects, or must decide every subject and did not, and rules whose
-/// input contradicts itself. Ignores subjects that no such log can decide, unless all are.
+/// Headline rules with input that decided none of their subjects, or must decide every subject and did not, and rules with
+/// contradictory inputs. Ignores subjects that no such log can decide, unless all are.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let is_contradicted = |row: &CheckRow| {
         row.status == Status::Inconclusive && row.evidence.contains_key(checks::CONTRADICTION)

@@ -2,7 +2,7 @@
 
 use crate::geometry::{Convention, RotationEncoding, vendors};
 use crate::log::{COMMAND_WORDS, RotationLabels};
-use crate::stream::Columns;
+use crate::stream::{ArrayColumns, Columns};
 
 use super::streams::Stream;
 
@@ -360,6 +360,21 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
         return (Role::Candidate { presumed: true }, reason);
     }
     (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
+}
+
+/// False for seven numbers without a quaternion, such as joint positions.
+pub(super) fn may_be_poses(array: &ArrayColumns) -> bool {
+    /// Deviation from unit norm, for numbers with two digits.
+    const MAX_DEFECT: f64 = 0.03;
+    if array.width != 7 {
+        return true;
+    }
+    let rows = array.values.chunks_exact(array.width);
+    let norm = |row: &[f64]| row[3..].iter().map(|part| part * part).sum::<f64>().sqrt();
+    let (unit, all) = rows.fold((0, 0), |(unit, all), row| {
+        (unit + usize::from((norm(row) - 1.0).abs() < MAX_DEFECT), all + 1)
+    });
+    2 * unit > all
 }
 
 /// Word that marks a command. Table columns use additional words.

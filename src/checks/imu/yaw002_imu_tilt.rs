@@ -19,8 +19,8 @@ rule! {
     ///
     /// If the tilt is close to 90° or 180°, the finding names the world axis that points up instead of z
     /// (REP 145): z down is NED. `up_in_world` is the measured up direction in that frame, `up_in_base` the
-    /// same in the arm's base by FK and the mount. `contradiction` says that the tilt shows another encoding of the
-    /// orientation, which is not determined; the run does not pass then.
+    /// same in the arm's base by FK and the mount. `contradiction`: another encoding of the orientation
+    /// explains the tilt, but the motion does not determine it. The run does not pass.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world frame.

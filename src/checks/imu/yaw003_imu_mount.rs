@@ -25,8 +25,8 @@ rule! {
     /// - `direction_cosines`: the same as a matrix, with one column per IMU axis and one row per link axis.
     /// - `axes`: the direction of each IMU axis in words.
     /// - `logged_direction_cosines`, `logged_axes`: for the mount in the log's frames.
-    /// - `contradiction`: if the motion does not show the mount, and with the logged one gravity is off the base's vertical.
-    ///   The run does not pass then.
+    /// - `contradiction`: the motion does not show the mount, and the logged mount puts gravity off the base's vertical. The
+    ///   run does not pass.
     /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time.
     ///   `from`, `to`: angles to the logged mount before and after; `link_from_imu_after`: the mount after.
     ///

@@ -40,8 +40,7 @@ rule! {
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     let mut judged = encoding::judge(case, EncodingFaultKind::Direction, report);
-    // Positions reveal an inverted pose if the orientations do not: a tool that points down and turns about the vertical has
-    // nearly the same orientation in the inverse pose.
+    // Positions also show an inverted pose. The orientation of a tool that points down hardly differs from its inverse.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
         found.is_inverted && !found.is_far_from_fk()

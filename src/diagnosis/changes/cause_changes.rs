@@ -976,8 +976,8 @@ pub(crate) fn diagnose_with_cause_changes(
     likeliest(alone.into_iter().chain(beside_compliance))
 }
 
-/// With joint compliance, which looks like changes of joint zeros. It is found without the changes of frames and radial
-/// scales, and these without it, in turn. `None` if there are none.
+/// With joint compliance, which resembles changes of joint zeros. Removes the changes of frames and radial scales to
+/// estimate compliance, then removes compliance to estimate all changes. `None` without compliance or without such changes.
 fn diagnose_beside_compliance(
     run: &ArmRun,
     diagnosis: &ArmDiagnosis,

@@ -14,7 +14,7 @@ use super::super::namespace::NamespaceMatch;
 use super::super::not_audited::{NotAudited, NotAuditedReason};
 use super::super::poses::{self, StampedTrack};
 use super::super::role::{
-    FrameKind, PoseTopic, Role, RoleDecision, array_role, is_driver_frame, pose_role,
+    FrameKind, PoseTopic, Role, RoleDecision, array_role, is_driver_frame, may_be_poses, pose_role,
     role_outside_arm,
 };
 use super::super::shared_stream::{CandidateArm, SharedStream};
@@ -25,7 +25,6 @@ use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{RoleSetting, TopicSettings};
 use super::assembly::{Assembly, is_topic};
 use super::declaration_error;
-use super::trajectories::may_be_poses;
 
 pub(super) struct StreamFrames {
     pub frame: FrameKind,

@@ -11,11 +11,11 @@ use crate::geometry::{Rotation, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
-use crate::run::role::{Role, array_role};
+use crate::run::role::{Role, array_role, may_be_poses};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
-use crate::stream::{ArrayColumns, Columns, Orientations, PoseTrack, sample_noise};
+use crate::stream::{Columns, Orientations, PoseTrack, sample_noise};
 
 use super::assembly::{Assembly, is_topic};
 
@@ -218,21 +218,6 @@ impl Assembly<'_> {
         let is_imu = |stream: &Stream| matches!(stream.columns, Some(Columns::Imu(_)));
         other_streams(arm).next().is_some() || self.streams.iter().any(is_imu)
     }
-}
-
-/// Seven joint positions are no quaternion.
-pub(super) fn may_be_poses(array: &ArrayColumns) -> bool {
-    /// Deviation from unit norm, for numbers with two digits.
-    const MAX_DEFECT: f64 = 0.03;
-    if array.width != 7 {
-        return true;
-    }
-    let rows = array.values.chunks_exact(array.width);
-    let norm = |row: &[f64]| row[3..].iter().map(|part| part * part).sum::<f64>().sqrt();
-    let (unit, all) = rows.fold((0, 0), |(unit, all), row| {
-        (unit + usize::from((norm(row) - 1.0).abs() < MAX_DEFECT), all + 1)
-    });
-    2 * unit > all
 }
 
 fn other_streams(arm: &Arm) -> impl Iterator<Item = usize> {
