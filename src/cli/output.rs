@@ -24,6 +24,7 @@ pub enum Format {
 
 pub const OUTPUT_OPTION: &str = "--output";
 
+const ESCAPE: u8 = 0x1b;
 const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
@@ -99,13 +100,23 @@ pub fn emit_unescaped(
 }
 
 fn to_stdout(text: &[u8]) -> io::Result<()> {
-    let mut stdout = AutoStream::auto(io::stdout().lock());
-    stdout.write_all(text)?;
+    let mut stdout = io::stdout().lock();
+    // Text without styles, like JSON, needs no pass over its bytes.
+    match text.contains(&ESCAPE) {
+        true => AutoStream::auto(&mut stdout).write_all(text)?,
+        false => stdout.write_all(text)?,
+    }
     stdout.flush()
 }
 
 fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
-    write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))?;
+    write_whole(path, |staged| {
+        let mut file = File::create(staged)?;
+        match text.contains(&ESCAPE) {
+            true => StripStream::new(file).write_all(text),
+            false => file.write_all(text),
+        }
+    })?;
     messages::print_written(path);
     Ok(())
 }

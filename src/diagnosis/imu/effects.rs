@@ -117,8 +117,19 @@ impl Walk {
 
     /// Share of each increment that has passed.
     pub fn weights(&self, t_s: f64) -> impl Iterator<Item = f64> {
-        let passed = (t_s - self.first_s) / self.step_s;
+        let passed = self.passed(t_s);
         (0..self.increments).map(move |k| (passed - k as f64).clamp(0.0, 1.0))
+    }
+
+    /// Increment that passes at this time, and the share of it that has passed.
+    pub fn position(&self, t_s: f64) -> (usize, f64) {
+        let passed = self.passed(t_s);
+        let increment = (passed as usize).min(self.increments - 1);
+        (increment, (passed - increment as f64).clamp(0.0, 1.0))
+    }
+
+    fn passed(&self, t_s: f64) -> f64 {
+        (t_s - self.first_s) / self.step_s
     }
 }
 

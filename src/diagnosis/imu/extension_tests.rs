@@ -69,6 +69,15 @@ struct Extension<'a> {
     added: Added,
 }
 
+/// One component of a sample's residual.
+struct BaseRow<'a> {
+    weight: f64,
+    /// Derivatives by the parameters of the base model, and by all.
+    base: &'a DVector<f64>,
+    all: &'a [f64],
+    residual: f64,
+}
+
 /// Products of additional columns.
 #[derive(Clone)]
 struct Added {
@@ -93,9 +102,28 @@ impl Added {
 
     /// Adds `other` with its columns multiplied by `weight`; its products count `count` times.
     fn add(&mut self, other: &Self, weight: f64, count: f64) {
-        self.with_base += &other.with_base * (count * weight);
-        self.own += &other.own * (count * weight * weight);
-        self.with_residual += &other.with_residual * (count * weight);
+        self.with_base.zip_apply(&other.with_base, |sum, one| *sum += count * weight * one);
+        self.own.zip_apply(&other.own, |sum, one| *sum += count * weight * weight * one);
+        self.with_residual.axpy(count * weight, &other.with_residual, 1.0);
+    }
+
+    fn add_row(&mut self, row: &BaseRow, added: &DVector<f64>) {
+        self.with_base.ger(row.weight, row.base, added, 1.0);
+        self.own.ger(row.weight, added, added, 1.0);
+        self.with_residual.axpy(row.weight * row.residual, added, 1.0);
+    }
+
+    /// Products of the sums of every `count` columns.
+    fn joined(&self, count: usize) -> Self {
+        let columns = self.with_residual.len();
+        let sums = DMatrix::from_fn(columns, columns.div_ceil(count), |column, sum| {
+            f64::from(u8::from(column / count == sum))
+        });
+        Self {
+            with_base: &self.with_base * &sums,
+            own: sums.tr_mul(&(&self.own * &sums)),
+            with_residual: sums.tr_mul(&self.with_residual),
+        }
     }
 }
 
@@ -116,16 +144,11 @@ impl<'a> ExtensionTests<'a> {
         let precision: Vec<f64> = base.iter().map(|parameter| parameter.1).collect();
         let base: Vec<usize> = base.iter().map(|parameter| parameter.0).collect();
         let mut normal = Normal::zeros(base.len());
-        for (sample, &weight) in robust_weights.iter().enumerate() {
-            for axis in 0..3 {
-                let row = linear.row(sample, axis);
-                let row = DVector::from_iterator(base.len(), base.iter().map(|&at| row[at]));
-                let residual = linear.residual(sample, axis);
-                normal.matrix.ger(weight, &row, &row, 1.0);
-                normal.right.axpy(weight * residual, &row, 1.0);
-                normal.cost += weight * residual * residual;
-            }
-        }
+        for_each_row(linear, &base, &robust_weights, |_, row| {
+            normal.matrix.ger(row.weight, row.base, row.base, 1.0);
+            normal.right.axpy(row.weight * row.residual, row.base, 1.0);
+            normal.cost += row.weight * row.residual * row.residual;
+        });
         let fit = BaseFit::new(&normal, &precision, sigma.powi(2))?;
         let mut tests = Self {
             linear,
@@ -196,23 +219,31 @@ impl<'a> ExtensionTests<'a> {
     pub fn decay(&self, columns: &[usize], size: f64) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let before = self.prefix_sums(columns);
-        let residual = |tau_s: f64, pieces: usize| {
-            let samples = self.t_s.len();
-            let pieces = pieces.min(samples);
+        let samples = self.t_s.len();
+        // Start and products of each of `count` pieces.
+        let pieces = |count: usize| -> Vec<(f64, Added)> {
+            let count = count.min(samples);
+            let piece = |at: usize| {
+                let (from, to) = (at * samples / count, (at + 1) * samples / count);
+                let mut products = before[to].clone();
+                products.add(&before[from], 1.0, -1.0);
+                (self.t_s[(from + to) / 2] - first, products)
+            };
+            (0..count).map(piece).collect()
+        };
+        let residual = |tau_s: f64, pieces: &[(f64, Added)]| {
             let mut sums = Added::zeros(self.base.len(), columns.len());
-            for piece in 0..pieces {
-                let (from, to) = (piece * samples / pieces, (piece + 1) * samples / pieces);
-                let weight = (-(self.t_s[(from + to) / 2] - first) / tau_s).exp();
-                sums.add(&before[to], weight, 1.0);
-                sums.add(&before[from], weight, -1.0);
+            for (t_s, products) in pieces {
+                sums.add(products, (-t_s / tau_s).exp(), 1.0);
             }
             -self.fit.extend(&sums, 0.0).map_or(0.0, |fit| fit.gain)
         };
         let taus = (0..CHANGE_POINT_CANDIDATES)
             .map(|k| (last - first) * 0.03 * 33f64.powf(k as f64 / CHANGE_POINT_CANDIDATES as f64));
-        let tau_s = best_candidate(taus, |tau_s| residual(tau_s, COARSE_PIECES))?;
+        let (coarse, fine) = (pieces(COARSE_PIECES), pieces(samples));
+        let tau_s = best_candidate(taus, |tau_s| residual(tau_s, &coarse))?;
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
-        let tau_s = best_candidate(finer, |tau_s| residual(tau_s, self.t_s.len()))?;
+        let tau_s = best_candidate(finer, |tau_s| residual(tau_s, &fine))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
         let extension = self.best_extension(columns, vec![weight], size)?;
         Some(ModelExtension { at: tau_s, ..extension })
@@ -245,11 +276,11 @@ impl<'a> ExtensionTests<'a> {
         let join = |increments: &[Vec<f64>]| {
             (0..self.t_s.len()).map(|at| increments.iter().map(|one| one[at]).sum()).collect()
         };
-        let columns = [column];
+        let columns = &[column];
         let joined = weights.chunks(JOINED_INCREMENTS).map(join).collect();
-        let joined = self.extension(&columns, joined);
-        let whole = self.extension(&columns, weights);
-        let added = &whole.added;
+        let added = &self.increments(column, walk);
+        let joined = Extension { columns, weights: joined, added: added.joined(JOINED_INCREMENTS) };
+        let whole = Extension { columns, weights, added: added.clone() };
         let likeliest = |noise: &IndependentNoise| {
             let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
             let typical = noise.variance * walk.increments as f64 / added.own.trace();
@@ -371,11 +402,52 @@ impl<'a> ExtensionTests<'a> {
 
     fn extension<'c>(&self, columns: &'c [usize], weights: Vec<Vec<f64>>) -> Extension<'c> {
         let mut added = Added::zeros(self.base.len(), columns.len() * weights.len());
-        for sample in 0..self.t_s.len() {
-            let factors = weights.iter().map(|weight| weight[sample]);
-            self.add_sample(&mut added, sample, columns, factors);
-        }
+        let mut values = DVector::zeros(columns.len() * weights.len());
+        self.for_each_row(|sample, row| {
+            let products = weights
+                .iter()
+                .flat_map(|weight| columns.iter().map(move |&at| weight[sample] * row.all[at]));
+            values.iter_mut().zip(products).for_each(|(value, product)| *value = product);
+            added.add_row(&row, &values);
+        });
         Extension { columns, weights, added }
+    }
+
+    /// Products of a walk's increments. An increment has weight 1 where a later one has any, so their product is that
+    /// of the later one alone.
+    fn increments(&self, column: usize, walk: &Walk) -> Added {
+        let count = walk.increments;
+        let zeros = || vec![Added::zeros(self.base.len(), 1); count];
+        // Per interval of the walk: with the weight of its increment, and with weight 1.
+        let (mut passing, mut passed) = (zeros(), zeros());
+        let mut squares = vec![0.0; count];
+        let mut value = DVector::zeros(1);
+        self.for_each_row(|sample, row| {
+            let (at, share) = walk.position(self.t_s[sample]);
+            value[0] = row.all[column];
+            passed[at].add_row(&row, &value);
+            let square = row.weight * value[0] * value[0];
+            value[0] *= share;
+            passing[at].add_row(&row, &value);
+            // `passing.own` has the square of the share.
+            squares[at] += share * square;
+        });
+        let mut added = Added::zeros(self.base.len(), count);
+        let mut later = Added::zeros(self.base.len(), 1);
+        for at in (0..count).rev() {
+            let mut own = passing[at].clone();
+            own.add(&later, 1.0, 1.0);
+            added.with_base.set_column(at, &own.with_base.column(0));
+            added.with_residual[at] = own.with_residual[0];
+            for earlier in 0..at {
+                let product = squares[at] + later.own[(0, 0)];
+                added.own[(at, earlier)] = product;
+                added.own[(earlier, at)] = product;
+            }
+            added.own[(at, at)] = own.own[(0, 0)];
+            later.add(&passed[at], 1.0, 1.0);
+        }
+        added
     }
 
     /// Sums over the samples before each one. They give the residual for any weight function without another
@@ -383,31 +455,37 @@ impl<'a> ExtensionTests<'a> {
     fn prefix_sums(&self, columns: &[usize]) -> Vec<Added> {
         let mut sums = Added::zeros(self.base.len(), columns.len());
         let mut before = vec![sums.clone()];
-        for sample in 0..self.t_s.len() {
-            self.add_sample(&mut sums, sample, columns, std::iter::once(1.0));
-            before.push(sums.clone());
-        }
+        let mut values = DVector::zeros(columns.len());
+        self.for_each_row(|sample, row| {
+            if before.len() <= sample {
+                before.push(sums.clone());
+            }
+            values.iter_mut().zip(columns).for_each(|(value, &at)| *value = row.all[at]);
+            sums.add_row(&row, &values);
+        });
+        before.push(sums);
         before
     }
 
-    fn add_sample(
-        &self,
-        sums: &mut Added,
-        sample: usize,
-        columns: &[usize],
-        factors: impl Iterator<Item = f64> + Clone,
-    ) {
-        let weight = self.robust_weights[sample];
+    fn for_each_row(&self, each: impl FnMut(usize, BaseRow)) {
+        for_each_row(self.linear, &self.base, &self.robust_weights, each);
+    }
+}
+
+/// Passes every component of the samples, with the sample's number.
+fn for_each_row(
+    linear: &Linear,
+    base: &[usize],
+    robust_weights: &[f64],
+    mut each: impl FnMut(usize, BaseRow),
+) {
+    let mut base_values = DVector::zeros(base.len());
+    for (sample, &weight) in robust_weights.iter().enumerate() {
         for axis in 0..3 {
-            let row = self.linear.row(sample, axis);
-            let base = DVector::from_iterator(self.base.len(), self.base.iter().map(|&at| row[at]));
-            let added = factors
-                .clone()
-                .flat_map(|factor| columns.iter().map(move |&column| factor * row[column]));
-            let added = DVector::from_vec(added.collect());
-            sums.with_base.ger(weight, &base, &added, 1.0);
-            sums.own.ger(weight, &added, &added, 1.0);
-            sums.with_residual.axpy(weight * self.linear.residual(sample, axis), &added, 1.0);
+            let all = linear.row(sample, axis);
+            base_values.iter_mut().zip(base).for_each(|(value, &at)| *value = all[at]);
+            let residual = linear.residual(sample, axis);
+            each(sample, BaseRow { weight, base: &base_values, all, residual });
         }
     }
 }
