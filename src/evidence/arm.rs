@@ -10,19 +10,22 @@ use super::joint_clock::samples_with_true_stamps;
 use super::joint_stamps::{JointStamps, joint_stamps};
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{
-    DeclaredUnits, ImuEvidence, PoseEvidence, euler, named_units, unidentified_columns,
+    DeclaredUnits, EulerEvidence, ImuEvidence, PoseEvidence, euler, named_units,
+    unidentified_columns,
 };
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
-    ArmDiagnosis, EncodingSpans, EstimateResult, JointDiagnosis, JointScale, LatencyProfile,
-    Measured, NotObservable, PoseDiagnosis, ResidualCheck, UnitResiduals, check_imu_residual,
-    check_residual,
+    ArmDiagnosis, EncodingSpans, EstimateResult, ImuDiagnosis, JointDiagnosis, JointScale,
+    LatencyProfile, Measured, NotObservable, PoseDiagnosis, ResidualCheck, UnitResiduals,
+    check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::geometry::Vec3;
-use crate::run::{CompetingModel, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions};
-use crate::stream::{Columns, Orientations};
+use crate::run::{
+    Arm, CompetingModel, ImuSource, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions,
+};
+use crate::stream::{Columns, JointTrack, Orientations};
 
 /// Robot with its streams.
 #[derive(Clone, Debug)]
@@ -216,159 +219,52 @@ pub(super) fn arm_evidence(
     options: &RunOptions,
 ) -> ArmEvidence {
     let arm = &run.arms[index];
-    // A rail may have a topic of its own.
-    let joints_in =
-        |stream: usize| arm.joint_sources.iter().filter(|source| source.stream == stream).count();
-    let streams_of_joints = arm.joint_sources.iter().map(|source| source.stream);
-    let joints_stream = match &arm.trajectory {
-        Some(trajectory) => trajectory.stream,
-        None => streams_of_joints
-            .max_by_key(|&stream| (joints_in(stream), Reverse(stream)))
-            .unwrap_or(0),
-    };
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
-    let corrected_track =
+    let joints_stream = joints_stream(arm);
+    let corrected =
         found.without_eccentricity().corrected_joints(&arm.joints, &arm.are_prismatic());
-    let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
-    let max_lag_s = options.max_latency_s;
-    // Numbers whose encoding changes contradict themselves, declared or not.
-    let has_one_encoding = |found: &PoseDiagnosis| found.encoding_spans == EncodingSpans::default();
-    let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
-        proof: check_residual(&arm.joints, &corrected_track, &run.pose_stream(source), &found),
-        reference: if source.reference_known {
-            source.chain.base_name().to_owned()
-        } else {
-            let stream = &run.streams[source.stream];
-            stream.reference.as_ref().unwrap_or(&stream.frame_id).clone()
-        },
-        reference_known: source.reference_known,
-        tip: source.chain.tip_name().to_owned(),
-        is_tip_declared: source.tip_named,
-        source_kind: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
-        euler,
-        labels: run.streams[source.stream]
-            .labels
-            .filter(|_| source.track.declared.is_none() && has_one_encoding(&found)),
-        named_units: named_units(&run.streams[source.stream].cells),
-        is_of_table: !run.streams[source.stream].cells.is_empty(),
-        unidentified_columns: unidentified_columns(run, source),
-        is_uncorrected: false,
-        joint_axes: JointAxes::in_the_middle(&source.chain, &source.columns, &arm.joints),
-        has_independent_stamps: !source.stamps_copied,
-        has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
-        is_undeclared: source.track.declared.is_none()
-            && run.streams[source.stream].lacks_encoding()
-            && has_one_encoding(&found),
-        declared: source.track.declared.as_ref().map(|units| DeclaredUnits {
-            angles: units.in_other_angles.is_some().then_some(units.angle),
-            lengths: units.length,
-        }),
-        alternation: run
-            .tool_switching
-            .iter()
-            .find(|(stream, _)| *stream == source.stream)
-            .map(|(_, alternation)| alternation.converted_to_m(&found)),
-        diagnosis: found,
-    };
-    let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
-        let found = ImuEvidence {
-            has_independent_stamps: !source.stamps_copied,
-            link: source.chain.tip_name().to_owned(),
-            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
-            proof: is_read
-                .then(|| {
-                    check_imu_residual(&corrected_track, &source.as_stream(), &diagnosis, max_lag_s)
-                })
-                .flatten(),
-            diagnosis,
-        };
-        arm_stream_evidence(run, arm, source.stream, found)
-    });
-    let mut samples = run.joint_samples(&arm.joint_sources);
-    if let Some(profile) = &diagnosis.joint_clock {
-        samples.iter_mut().for_each(|joint| *joint = samples_with_true_stamps(joint, profile));
-    }
-    let change_points = change_points(&found, arm.joint_sources.len());
-    let (stamps, at_true_times) = joint_stamps(&samples);
-    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
-    let mut velocities = velocities(at_true_times, &change_points);
-    if found.partial_encoding.is_some() {
-        let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
-        velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));
-    }
-    let joint_correction = mending(arm, &found);
-    let actual = arm.joint_correction.as_ref().or(joint_correction.as_ref()).cloned();
-    let samples = match &arm.joint_correction {
-        Some(mending) => mending.apply_to_samples(&samples),
-        None => samples,
-    };
-    let samples = in_one_encoding(samples, &found);
-    let track = found.in_one_encoding(&arm.joints);
-    let (samples, track) = match joint_correction {
-        Some(mending) => (mending.apply_to_samples(&samples), Cow::Owned(mending.apply(&track))),
-        None => (samples, track),
-    };
-    let joints = || {
-        let joint = |joint| joint_evidence(run, arm, joint, &samples[joint]);
-        (0..arm.joint_sources.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
-    };
-    let of_joints = || {
-        let vibration = vibration_of_joints(arm, &samples, &track);
-        arm_stream_evidence(
-            run,
-            arm,
-            joints_stream,
-            VibrationEvidence { in_other_units: false, vibration },
-        )
-    };
+    let poses = PoseEvidenceOfArm { run, arm, corrected: &corrected };
+    let of_joints = || joint_evidences(run, arm, joints_stream, &diagnosis.joint_clock, &found);
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].lacks_rotation() {
             found.encoding = Err(NotObservable::NoOrientation);
         }
         let in_other_units = matches!(found.length_unit, Ok(Some(_)));
         let vibration = vibration_of_poses(&source.track, &found, &arm.joints);
-        let vibration = arm_stream_evidence(
-            run,
-            arm,
-            source.stream,
-            VibrationEvidence { in_other_units, vibration },
-        );
+        let vibration = VibrationEvidence { in_other_units, vibration };
+        let vibration = arm_stream_evidence(run, arm, source.stream, vibration);
         let euler = euler(run, source, &found, &options.declared);
-        (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), vibration)
+        let pose = poses.evidence(source, found, euler);
+        (arm_stream_evidence(run, arm, source.stream, pose), vibration)
     };
     let of_streams =
         || -> (Vec<_>, Vec<_>) { arm.poses.par_iter().zip(streams).map(of_stream).unzip() };
     let of_tf = || {
         let (source, found) = arm.tf.as_ref().ok().zip(diagnosis.tf)?;
-        let mut tf = of_poses(source, found, None);
-        if let Some(recorded) = &arm.recorded_joints {
-            let stream = run.pose_stream(source);
-            let as_recorded = check_residual(recorded, recorded, &stream, &tf.diagnosis);
-            if as_logged_m(&as_recorded) < as_logged_m(&tf.proof) {
-                (tf.proof, tf.is_uncorrected) = (as_recorded, true);
-            }
-        }
+        let tf = poses.tf_evidence(source, found);
         Some(arm_stream_evidence(run, arm, source.stream, tf))
     };
-    let of_imus = || imus.collect::<Vec<_>>();
-    let ((mut joints, vibration), ((poses, vibrations), (tf, imus))) = rayon::join(
-        || rayon::join(joints, of_joints),
-        || rayon::join(of_streams, || rayon::join(of_tf, of_imus)),
-    );
-    for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
-        joint.velocity = velocity;
-        joint.actual = actual.as_ref().map(|actual| (actual.from[index], actual.factor[index]));
-    }
-    let degree = 1f64.to_radians();
-    let (is_in_degrees_by_magnitude, is_declared) =
-        match run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()) {
-            Some(Columns::Joints(joints)) => {
-                let is_degree = |line: &[f64; 2]| *line == [degree, 0.0];
-                let are_degrees = joints.conversions.iter().all(is_degree);
-                (joints.converted_from_degrees, !joints.conversions.is_empty() && are_degrees)
-            }
-            _ => (false, false),
+    let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
+    let of_imu = |(source, diagnosis): (&ImuSource, ImuDiagnosis)| {
+        let proof = is_read
+            .then(|| {
+                let stream = source.as_stream();
+                check_imu_residual(&corrected, &stream, &diagnosis, options.max_latency_s)
+            })
+            .flatten();
+        let imu = ImuEvidence {
+            has_independent_stamps: !source.stamps_copied,
+            link: source.chain.tip_name().to_owned(),
+            link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
+            proof,
+            diagnosis,
         };
+        arm_stream_evidence(run, arm, source.stream, imu)
+    };
+    let of_imus = || arm.imus.iter().zip(diagnosis.imus).map(of_imu).collect::<Vec<_>>();
+    let ((stamps, joints, vibration), ((poses, vibrations), (tf, imus))) =
+        rayon::join(of_joints, || rayon::join(of_streams, || rayon::join(of_tf, of_imus)));
+    let (is_in_degrees_by_magnitude, is_declared_in_degrees) = degrees(run, joints_stream);
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
@@ -390,12 +286,145 @@ pub(super) fn arm_evidence(
         indistinguishable_models: arm.indistinguishable.clone(),
         dh: diagnosis.dh,
         is_in_degrees_by_magnitude,
-        is_converted_from_degrees: is_in_degrees_by_magnitude || is_declared,
+        is_converted_from_degrees: is_in_degrees_by_magnitude || is_declared_in_degrees,
         diagnosis: found,
-        references: references(run, index, &poses, max_lag_s),
+        references: references(run, index, &poses, options.max_latency_s),
         poses,
         tf,
         vibrations: [vec![vibration], vibrations].concat(),
         imus,
+    }
+}
+
+/// The stream with most of the arm's joints, or that of the poses in their place.
+fn joints_stream(arm: &Arm) -> usize {
+    if let Some(trajectory) = &arm.trajectory {
+        return trajectory.stream;
+    }
+    // A rail may have a topic of its own.
+    let joints_in =
+        |stream: usize| arm.joint_sources.iter().filter(|source| source.stream == stream).count();
+    let streams = arm.joint_sources.iter().map(|source| source.stream);
+    streams.max_by_key(|&stream| (joints_in(stream), Reverse(stream))).unwrap_or(0)
+}
+
+/// Whether the joint states were converted from degrees by magnitude, and whether as declared.
+fn degrees(run: &Run, joints_stream: usize) -> (bool, bool) {
+    let columns = run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref());
+    let Some(Columns::Joints(joints)) = columns else { return (false, false) };
+    let is_degree = |line: &[f64; 2]| *line == [1f64.to_radians(), 0.0];
+    let are_degrees = joints.conversions.iter().all(is_degree);
+    (joints.converted_from_degrees, !joints.conversions.is_empty() && are_degrees)
+}
+
+/// Stamps, joints and vibration of the joint states.
+fn joint_evidences(
+    run: &Run,
+    arm: &Arm,
+    joints_stream: usize,
+    joint_clock: &Option<LatencyProfile>,
+    found: &JointDiagnosis,
+) -> (JointStamps, Vec<JointEvidence>, StreamEvidence<VibrationEvidence>) {
+    let mut samples = run.joint_samples(&arm.joint_sources);
+    if let Some(profile) = joint_clock {
+        samples.iter_mut().for_each(|joint| *joint = samples_with_true_stamps(joint, profile));
+    }
+    let change_points = change_points(found, arm.joint_sources.len());
+    let (stamps, at_true_times) = joint_stamps(&samples);
+    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
+    let mut velocities = velocities(at_true_times, &change_points);
+    if found.partial_encoding.is_some() {
+        let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
+        velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));
+    }
+    let correction = mending(arm, found);
+    let actual = arm.joint_correction.as_ref().or(correction.as_ref()).cloned();
+    let samples = match &arm.joint_correction {
+        Some(mending) => mending.apply_to_samples(&samples),
+        None => samples,
+    };
+    let samples = in_one_encoding(samples, found);
+    let track = found.in_one_encoding(&arm.joints);
+    let (samples, track) = match correction {
+        Some(mending) => (mending.apply_to_samples(&samples), Cow::Owned(mending.apply(&track))),
+        None => (samples, track),
+    };
+    let joints = || {
+        let joint = |joint| joint_evidence(run, arm, joint, &samples[joint]);
+        (0..arm.joint_sources.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
+    };
+    let vibration = || {
+        let vibration = vibration_of_joints(arm, &samples, &track);
+        let vibration = VibrationEvidence { in_other_units: false, vibration };
+        arm_stream_evidence(run, arm, joints_stream, vibration)
+    };
+    let (mut joints, vibration) = rayon::join(joints, vibration);
+    for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
+        joint.velocity = velocity;
+        joint.actual = actual.as_ref().map(|actual| (actual.from[index], actual.factor[index]));
+    }
+    (stamps, joints, vibration)
+}
+
+/// Makes the evidence of an arm's pose streams.
+struct PoseEvidenceOfArm<'a> {
+    run: &'a Run,
+    arm: &'a Arm,
+    /// Joint states with the faults found corrected.
+    corrected: &'a JointTrack,
+}
+
+impl PoseEvidenceOfArm<'_> {
+    fn evidence(
+        &self,
+        source: &PoseSource,
+        found: PoseDiagnosis,
+        euler: Option<EulerEvidence>,
+    ) -> PoseEvidence {
+        let Self { run, arm, corrected } = *self;
+        let stream = &run.streams[source.stream];
+        // Numbers whose encoding changes contradict themselves, declared or not.
+        let is_undeclared =
+            source.track.declared.is_none() && found.encoding_spans == EncodingSpans::default();
+        let alternation = run.tool_switching.iter().find(|(stream, _)| *stream == source.stream);
+        PoseEvidence {
+            proof: check_residual(&arm.joints, corrected, &run.pose_stream(source), &found),
+            reference: match source.reference_known {
+                true => source.chain.base_name().to_owned(),
+                false => stream.reference.as_ref().unwrap_or(&stream.frame_id).clone(),
+            },
+            reference_known: source.reference_known,
+            tip: source.chain.tip_name().to_owned(),
+            is_tip_declared: source.tip_named,
+            source_kind: stream.source_kind.unwrap_or(PoseSourceKind::Unknown),
+            euler,
+            labels: stream.labels.filter(|_| is_undeclared),
+            named_units: named_units(&stream.cells),
+            is_of_table: !stream.cells.is_empty(),
+            unidentified_columns: unidentified_columns(run, source),
+            is_uncorrected: false,
+            joint_axes: JointAxes::in_the_middle(&source.chain, &source.columns, &arm.joints),
+            has_independent_stamps: !source.stamps_copied,
+            has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+            is_undeclared: is_undeclared && stream.lacks_encoding(),
+            declared: source.track.declared.as_ref().map(|units| DeclaredUnits {
+                angles: units.in_other_angles.is_some().then_some(units.angle),
+                lengths: units.length,
+            }),
+            alternation: alternation.map(|(_, alternation)| alternation.converted_to_m(&found)),
+            diagnosis: found,
+        }
+    }
+
+    /// Its residual is that against the joint states as recorded, if that is smaller.
+    fn tf_evidence(&self, source: &PoseSource, found: PoseDiagnosis) -> PoseEvidence {
+        let tf = self.evidence(source, found, None);
+        let Some(recorded) = &self.arm.recorded_joints else { return tf };
+        let stream = self.run.pose_stream(source);
+        let as_recorded = check_residual(recorded, recorded, &stream, &tf.diagnosis);
+        match as_logged_m(&as_recorded) < as_logged_m(&tf.proof) {
+            true => PoseEvidence { proof: as_recorded, is_uncorrected: true, ..tf },
+            false => tf,
+        }
     }
 }

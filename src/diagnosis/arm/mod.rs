@@ -7,7 +7,7 @@ mod fit;
 mod stream;
 mod zeros;
 
-use std::cell::LazyCell;
+use std::cell::OnceCell;
 
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
@@ -15,8 +15,8 @@ use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metr
 use crate::encodings::rotation::MAX_RESIDUAL_RAD as MAX_ROTATION_RESIDUAL_RAD;
 use crate::frames::position_fit::spread;
 use crate::joints::{
-    CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, has_change_within_run,
-    likely_encodings, other_encoding,
+    CorrectedJoints, LikelyEncoding, ResidualSize, estimate_joint_encoding, follows_arm,
+    has_change_within_run, likely_encodings, other_encoding,
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
@@ -53,146 +53,207 @@ pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
     streams.iter().any(|stream| stream.chain.is_floating())
 }
 
+/// Diagnoses with the joint encoding that explains the streams. Another one than the logged replaces it if it is
+/// credible and keeps streams that already agree; finally it must be the likelier one.
 fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
-    let is_prismatic = prismatic_columns(joints.dof, streams);
-    let estimate_positions = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
-        streams
-            .iter()
-            .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
-            .collect()
-    };
-    let position_encodings = estimate_positions(joints);
-    let diagnose_as = |encoding: &JointEncoding| {
-        let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic);
-        let reestimated = (*encoding != JointEncoding::default())
-            .then(|| estimate_positions(corrected.approximate_track()));
-        diagnose(
-            joints,
-            &corrected,
-            streams,
-            reestimated.as_ref().unwrap_or(&position_encodings),
-            true,
-        )
-    };
+    let search = EncodingSearch::new(joints, streams, max_lag_s);
     let as_logged = JointEncoding::default();
-    let mut metres: Vec<f64> =
-        position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
-    let is_confirmed = |corrected: &CorrectedJoints| {
-        let mut both = streams.iter().zip(&position_encodings);
-        both.any(|(stream, position_encoding)| {
-            position_encoding.needs_correction()
-                && decode_stream(corrected, stream, position_encoding)
-                    .is_ok_and(|it| it.is_confirmed())
-        })
-    };
-    let mut encoding = match is_confirmed(&CorrectedJoints::new(joints, &as_logged, &is_prismatic))
+    let (mut encoding, metres) = search.estimate();
+    let mut result = search.diagnose_as(encoding.as_ref().unwrap_or(&as_logged));
+    if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
+        (encoding, result) = (Err(NotObservable::NotExcited), search.as_logged().clone());
+    }
+    if encoding.as_ref().map_or(true, JointEncoding::is_as_logged) {
+        result = search.or_standard(result);
+    } else if search.spoils_agreement(&result) {
+        (encoding, result) = (Ok(as_logged), search.as_logged().clone());
+    }
+    let is_open = encoding.is_err() || result.is_far_from_fk();
+    if is_open && let Some((other, by_other)) = search.likely(&metres, &result) {
+        (encoding, result) = (Ok(other), by_other);
+    }
+    if encoding.is_ok()
+        && let Some((other, by_other)) = search.of_unexplained(&metres, &result)
     {
-        // The joint states need no other encoding.
-        true => Ok(JointEncoding::default()),
-        false => estimate_joint_encoding(joints, streams, &metres, max_lag_s),
-    };
-    if encoding.is_err() {
+        (encoding, result) = (Ok(other), by_other);
+    }
+    match &encoding {
+        Ok(other) if !other.is_as_logged() => search.likelier(encoding, result),
+        // If no stream follows FK, the encoding is undetermined.
+        Ok(_) if result.is_far_from_fk() => result.into_diagnosis(Err(NotObservable::NotExcited)),
+        _ => result.into_diagnosis(encoding),
+    }
+}
+
+/// Search for the encoding of the joint states.
+struct EncodingSearch<'a> {
+    joints: &'a JointTrack,
+    streams: &'a [PoseStream<'a>],
+    max_lag_s: f64,
+    is_prismatic: Vec<bool>,
+    position_encodings: Vec<PositionEncodingEstimate>,
+    as_logged: OnceCell<EncodingResult>,
+    has_change: OnceCell<bool>,
+}
+
+impl<'a> EncodingSearch<'a> {
+    fn new(joints: &'a JointTrack, streams: &'a [PoseStream<'a>], max_lag_s: f64) -> Self {
+        Self {
+            joints,
+            streams,
+            max_lag_s,
+            is_prismatic: prismatic_columns(joints.dof, streams),
+            position_encodings: position_encodings(joints, streams, max_lag_s),
+            as_logged: OnceCell::new(),
+            has_change: OnceCell::new(),
+        }
+    }
+
+    fn corrected(&self, encoding: &JointEncoding) -> CorrectedJoints {
+        CorrectedJoints::new(self.joints, encoding, &self.is_prismatic)
+    }
+
+    fn diagnose_as(&self, encoding: &JointEncoding) -> EncodingResult {
+        let corrected = self.corrected(encoding);
+        let reestimated = (*encoding != JointEncoding::default()).then(|| {
+            position_encodings(corrected.approximate_track(), self.streams, self.max_lag_s)
+        });
+        let position_encodings = reestimated.as_ref().unwrap_or(&self.position_encodings);
+        diagnose(self.joints, &corrected, self.streams, position_encodings, true)
+    }
+
+    fn as_logged(&self) -> &EncodingResult {
+        self.as_logged.get_or_init(|| self.diagnose_as(&JointEncoding::default()))
+    }
+
+    fn or_standard(&self, result: EncodingResult) -> EncodingResult {
+        let corrected = self.corrected(&JointEncoding::default());
+        result.or_standard(&self.position_encodings, |standard| {
+            diagnose(self.joints, &corrected, self.streams, standard, true)
+        })
+    }
+
+    /// A stream that agrees with the joint states as logged must still do so.
+    fn spoils_agreement(&self, result: &EncodingResult) -> bool {
+        self.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
+    }
+
+    fn has_change(&self, metres: &[f64]) -> bool {
+        let by_motion = || has_change_within_run(self.joints, self.streams, metres, self.max_lag_s);
+        *self.has_change.get_or_init(by_motion)
+    }
+
+    /// Encoding by the motion, and the unit of each stream's positions.
+    fn estimate(&self) -> (EstimateResult<JointEncoding>, Vec<f64>) {
+        let &Self { joints, streams, max_lag_s, .. } = self;
+        let metres: Vec<f64> =
+            self.position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
+        let corrected = self.corrected(&JointEncoding::default());
+        let is_confirmed = |(stream, encoding): (&PoseStream, &PositionEncodingEstimate)| {
+            encoding.needs_correction()
+                && decode_stream(&corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
+        };
+        if streams.iter().zip(&self.position_encodings).any(is_confirmed) {
+            // The joint states need no other encoding.
+            return (Ok(JointEncoding::default()), metres);
+        }
+        let encoding = estimate_joint_encoding(joints, streams, &metres, max_lag_s);
+        if encoding.is_ok() {
+            return (encoding, metres);
+        }
         // Wrong joint encodings can imitate another unit.
         let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
-        for other in others.into_iter().filter(|other| *other != metres) {
-            let by_other = estimate_joint_encoding(joints, streams, &other, max_lag_s);
-            if by_other.as_ref().is_ok_and(|encoding| !encoding.is_as_logged()) {
-                (encoding, metres) = (by_other, other);
-                break;
-            }
+        let by_other = |other: Vec<f64>| {
+            let encoding = estimate_joint_encoding(joints, streams, &other, max_lag_s).ok()?;
+            (!encoding.is_as_logged()).then_some((Ok(encoding), other))
+        };
+        let mut others = others.into_iter().filter(|other| *other != metres);
+        others.find_map(by_other).unwrap_or((encoding, metres))
+    }
+
+    /// Likely encoding that explains far more than `result`, where other faults hid the encoding.
+    fn likely(
+        &self,
+        metres: &[f64],
+        result: &EncodingResult,
+    ) -> Option<(JointEncoding, EncodingResult)> {
+        let before_m = result.total_residual_m();
+        if before_m <= FLOOR_M || self.has_change(metres) {
+            return None;
         }
+        let all = likely_encodings(self.joints, self.streams, metres, self.max_lag_s);
+        let explains = |likely: LikelyEncoding| {
+            let by_likely = self.diagnose_as(&likely.encoding);
+            let after_m = by_likely.total_residual_m();
+            let is_better = (likely.by_range && after_m * MIN_IMPROVEMENT_BY_RANGE < before_m)
+                || (by_likely.is_credible() && after_m * MIN_IMPROVEMENT < before_m);
+            (is_better && !self.spoils_agreement(&by_likely))
+                .then_some((likely.encoding, by_likely))
+        };
+        all.into_iter().find_map(explains)
     }
-    let mut result = diagnose_as(encoding.as_ref().unwrap_or(&as_logged));
-    if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
-        (encoding, result) = (Err(NotObservable::NotExcited), diagnose_as(&as_logged));
-    }
-    let or_standard = |result: EncodingResult| {
-        let corrected = CorrectedJoints::new(joints, &as_logged, &is_prismatic);
-        result.or_standard(&position_encodings, |standard| {
-            diagnose(joints, &corrected, streams, standard, true)
-        })
-    };
-    if encoding.as_ref().map_or(true, JointEncoding::is_as_logged) {
-        result = or_standard(result);
-    }
-    let is_far_from_fk = |result: &EncodingResult| {
-        !result.streams.is_empty() && result.streams.iter().all(PoseDiagnosis::is_far_from_fk)
-    };
-    // A stream that agrees with the joint states as logged must still do so.
-    let is_alone = streams.len() < 2;
-    let unchanged = LazyCell::new(|| diagnose_as(&as_logged));
-    let spoils_agreement =
-        |result: &EncodingResult| !is_alone && !result.preserves_agreement(&unchanged);
-    if encoding.as_ref().is_ok_and(|encoding| !encoding.is_as_logged()) && spoils_agreement(&result)
-    {
-        (encoding, result) = (Ok(JointEncoding::default()), diagnose_as(&as_logged));
-    }
-    let has_change = LazyCell::new(|| has_change_within_run(joints, streams, &metres, max_lag_s));
-    if (encoding.is_err() || is_far_from_fk(&result))
-        && result.total_residual_m() > FLOOR_M
-        && !*has_change
-    {
-        // Other faults may hide the encoding.
-        for likely in likely_encodings(joints, streams, &metres, max_lag_s) {
-            let by_likely = diagnose_as(&likely.encoding);
-            if spoils_agreement(&by_likely) {
-                continue;
-            }
-            let is_likely_by_range = likely.by_range
-                && by_likely.total_residual_m() * MIN_IMPROVEMENT_BY_RANGE
-                    < result.total_residual_m();
-            if is_likely_by_range
-                || (by_likely.is_credible()
-                    && by_likely.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m())
-            {
-                (encoding, result) = (Ok(likely.encoding), by_likely);
-                break;
-            }
-        }
-    }
-    if let (Ok(_), Some((stream, residual))) = (&encoding, result.largest_unexplained()) {
-        let stream_of_residual = &streams[stream];
-        let lag_s = result.streams[stream].latency_s.as_ref().map_or_else(
-            |_| stream_lag_s(joints, stream_of_residual, max_lag_s),
-            |latency| latency.value,
-        );
+
+    /// Encoding that explains the stream with the largest residual, if it explains far more than `result`.
+    fn of_unexplained(
+        &self,
+        metres: &[f64],
+        result: &EncodingResult,
+    ) -> Option<(JointEncoding, EncodingResult)> {
+        let (index, residual) = result.largest_unexplained()?;
+        let (stream, found) = (&self.streams[index], &result.streams[index]);
+        let lag_s = match &found.latency_s {
+            Ok(latency) => latency.value,
+            Err(_) => stream_lag_s(self.joints, stream, self.max_lag_s),
+        };
         // Rotations in an unknown convention show whether the last joint is reversed, positions do not.
-        let is_unread = match &result.streams[stream].encoding {
+        let is_unread = match &found.encoding {
             Ok(encoding) => {
                 matches!(encoding.best, PoseEncoding::Numbers(_))
                     && encoding.best_rad > MAX_ENCODING_RESIDUAL_RAD
             }
             Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
         };
-        let last = stream_of_residual.columns.last().filter(|_| is_unread);
-        let other = (!*has_change)
-            .then(|| other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual))
-            .flatten()
-            .or_else(|| last.map(|&last| JointEncoding::reversed(last, residual.m)));
-        if let Some(other) = other {
-            let by_other = diagnose_as(&other);
-            if by_other.is_credible()
-                && by_other.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m()
-                && !spoils_agreement(&by_other)
-            {
-                (encoding, result) = (Ok(other), by_other);
-            }
+        let by_residual = match self.has_change(metres) {
+            false => other_encoding(self.joints, stream, metres[index], lag_s, residual),
+            true => None,
+        };
+        let last = stream.columns.last().filter(|_| is_unread);
+        let other =
+            by_residual.or_else(|| last.map(|&last| JointEncoding::reversed(last, residual.m)))?;
+        let by_other = self.diagnose_as(&other);
+        let is_better = by_other.is_credible()
+            && by_other.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m()
+            && !self.spoils_agreement(&by_other);
+        is_better.then_some((other, by_other))
+    }
+
+    /// The likelier of `result` and the logged encoding: where joints hardly move, other encodings fit as well as
+    /// calibrations.
+    fn likelier(
+        &self,
+        encoding: EstimateResult<JointEncoding>,
+        result: EncodingResult,
+    ) -> ArmDiagnosis {
+        let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
+        let is_plausible = is_far && self.as_logged().is_plausible_for(self.streams);
+        let otherwise = result.into_diagnosis(encoding);
+        let as_logged = self.or_standard(self.as_logged().clone());
+        let as_logged = as_logged.into_diagnosis(Ok(JointEncoding::default()));
+        match !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0 {
+            true => otherwise,
+            false => as_logged,
         }
     }
-    // Where joints hardly move, other encodings fit as well as calibrations.
-    if encoding.as_ref().is_ok_and(|it| !it.is_as_logged()) {
-        let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
-        let is_plausible = is_far && unchanged.is_plausible_for(streams);
-        let otherwise = result.into_diagnosis(encoding);
-        let as_logged = or_standard(unchanged.clone()).into_diagnosis(Ok(JointEncoding::default()));
-        let is_likelier = !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0;
-        return if is_likelier { otherwise } else { as_logged };
-    }
-    // If no stream follows FK, the encoding is undetermined.
-    if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
-        encoding = Err(NotObservable::NotExcited);
-    }
-    result.into_diagnosis(encoding)
+}
+
+fn position_encodings(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    max_lag_s: f64,
+) -> Vec<PositionEncodingEstimate> {
+    let estimate =
+        |stream: &PoseStream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s);
+    streams.iter().map(estimate).collect()
 }
 
 /// Diagnoses joint states and streams without looking for another joint encoding.
@@ -213,12 +274,7 @@ pub(super) fn diagnose_arm_encoded(
 ) -> ArmDiagnosis {
     let corrected =
         CorrectedJoints::new(joints, &encoding, &prismatic_columns(joints.dof, streams));
-    let position_encodings = streams
-        .iter()
-        .map(|stream| {
-            PositionEncodingEstimate::estimate(corrected.approximate_track(), stream, max_lag_s)
-        })
-        .collect::<Vec<_>>();
+    let position_encodings = position_encodings(corrected.approximate_track(), streams, max_lag_s);
     let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
         diagnose(joints, &corrected, streams, position_encodings, true)
     };
@@ -357,6 +413,10 @@ impl EncodingResult {
         self.is_close_to_fk()
             && (!has_implausible_scale || self.largest_unexplained().is_none())
             && most <= MAX_SCALE_RATIO * least
+    }
+
+    fn is_far_from_fk(&self) -> bool {
+        !self.streams.is_empty() && self.streams.iter().all(PoseDiagnosis::is_far_from_fk)
     }
 
     fn total_residual_m(&self) -> f64 {

@@ -15,11 +15,11 @@ use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, rest_speeds};
 use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
-use crate::selection::nominal_model::is_unsteady_beside_links;
+use crate::selection::nominal_model::{Timing, is_unsteady_beside_links};
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
-    HeldOutResidual, LatencyProfile, LatencyShape, LengthUnitError, Measured, NotObservable,
-    PoseDiagnosis, PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
+    FrameEstimate, HeldOutResidual, LatencyProfile, LatencyShape, LengthUnitError, Measured,
+    NotObservable, PoseDiagnosis, PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -132,112 +132,25 @@ pub(super) fn stream_diagnosis(
     fitted: &ArmFit,
     index: usize,
 ) -> PoseDiagnosis {
-    let ArmFit { model, candidates, .. } = fitted;
-    let causes = &model.causes;
-    let with = |cause: Cause| -> Vec<Cause> {
-        let mut with = causes.clone();
-        if !with.contains(&cause) && !candidates.always.contains(&cause) {
-            with.push(cause);
-        }
-        with
-    };
-    let one = |cause: Cause| {
-        let is_nominal = fitted.deviations.is_some() && !causes.contains(&cause);
-        if is_nominal && matches!(cause, Cause::RadialScale(_)) {
-            Err(NotObservable::NominalKinematics)
-        } else if is_hidden(fitted, cause, index) {
-            Err(NotObservable::NotExcited)
-        } else if candidates.all().contains(&cause) {
-            measured(fitted, &with(cause), cause, 0)
-        } else {
-            Err(NotObservable::AtRest)
-        }
-    };
-    let timing = fitted.timings.get(index).copied().flatten();
-    let latency_s = match timing {
-        Some(timing) => Ok(timing.latency_s),
-        None => one(Cause::Latency(index)),
-    };
-    let latency_s = latency_s.map(|latency| Measured {
-        std_error: latency.std_error.hypot(stream.stamp_error_s),
-        ..latency
-    });
-    let latency_s = match aliases(decoded, model, index) {
-        Some(lags) => Err(NotObservable::Periodic(lags)),
-        None => latency_s,
-    };
-    let skew = match timing.and_then(|timing| timing.skew) {
-        Some(skew) => Ok(skew),
-        None => one(Cause::Skew(index)),
-    };
-    let frame = |cause: Cause| {
-        if fitted.deviations.is_some() && !candidates.all().contains(&cause) {
-            return Err(NotObservable::NominalKinematics);
-        }
-        if is_hidden(fitted, cause, index) {
-            return Err(NotObservable::NotExcited);
-        }
-        frame_estimate(model, candidates, &with(cause), cause, index)
-    };
-    let aligned = align(recorded, stream, decoded, model, index);
+    let stream_fit = StreamFit { recorded, stream, decoded, fitted, index };
+    let ArmFit { model, candidates, deviations, .. } = fitted;
     let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
-    let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
-    let delays = latency_s
-        .as_ref()
-        .ok()
-        .and_then(|_| estimate_delay_jitter(&aligned, stream_state.latency_s));
-    let latency_s = latency_s.map(|latency| match &delays {
-        Some(DelayJitter { median_s, .. }) => {
-            Measured { std_error: median_s.std_error.hypot(stream.stamp_error_s), ..*median_s }
-        }
-        None => latency,
-    });
-    let information = model.linear.information_of(index);
-    let observability =
-        Observability::new(&decoded.observations, stream_state, zeros, &information);
-    let rest_speeds = rest_speeds(recorded);
-    let profile = match &latency_s {
-        Ok(_) => {
-            let speed =
-                |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - stream_state.latency_s);
-            // In a moving frame, the corrected poses also depend on the latency.
-            let fk_at = |late_s: &dyn Fn(f64) -> f64| {
-                stream
-                    .moving_frame
-                    .is_none()
-                    .then(|| fk_at_latency(&aligned, decoded, model, index, late_s))
-            };
-            let profile =
-                latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed, fk_at);
-            let state = without_small_causes(model, index);
-            profile.and_then(|profile| {
-                let is_varied = profile.shape != LatencyShape::Steady;
-                let beside_links = is_varied.then(|| {
-                    let removed = stream.removed_ramp;
-                    is_unsteady_beside_links(
-                        &decoded.observations,
-                        &state,
-                        zeros,
-                        &profile,
-                        removed,
-                    )
-                });
-                match beside_links.flatten() {
-                    Some(false) if profile.is_unsteady => Err(NotObservable::NotExcited),
-                    Some(is_unsteady) => Ok(LatencyProfile { is_unsteady, ..profile }),
-                    None => Ok(profile),
-                }
-            })
-        }
+    let is_chosen = |cause: Cause| model.causes.contains(&cause);
+    let aligned = align(recorded, stream, decoded, model, index);
+    let (latency_s, delay_jitter) = stream_fit.latency(&aligned);
+    let latency_profile = match &latency_s {
+        Ok(_) => stream_fit.latency_profile(&aligned),
         Err(why) => Err(why.clone()),
     };
-    let t_s = &decoded.observations.t_s;
-    let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
+    let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
     let mut encoding = decoded.encoding.clone();
     if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
         // Latency, offsets and frames are now corrected.
         encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
     }
+    let information = model.linear.information_of(index);
+    let observability =
+        Observability::new(&decoded.observations, stream_state, zeros, &information);
     let found = PoseDiagnosis {
         encoding,
         length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
@@ -246,18 +159,14 @@ pub(super) fn stream_diagnosis(
         constant_coordinates: constant_coordinates(stream, decoded, &aligned),
         degrees: decoded.degrees,
         latency_s,
-        delay_jitter: delays,
-        skew: skew.map(|skew| Measured {
-            // Stamp errors at both ends look like skew.
-            std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
-            ..skew
-        }),
-        is_skew_chosen: causes.contains(&Cause::Skew(index)),
-        latency_profile: profile,
-        radial_scale: one(Cause::RadialScale(index)),
-        is_radial_scale_chosen: causes.contains(&Cause::RadialScale(index)),
-        reference: frame(Cause::Reference(index)),
-        tool: frame(Cause::Tool(index)),
+        delay_jitter,
+        skew: stream_fit.skew(),
+        is_skew_chosen: is_chosen(Cause::Skew(index)),
+        latency_profile,
+        radial_scale: stream_fit.estimate(Cause::RadialScale(index)),
+        is_radial_scale_chosen: is_chosen(Cause::RadialScale(index)),
+        reference: stream_fit.frame(Cause::Reference(index)),
+        tool: stream_fit.frame(Cause::Tool(index)),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         radial_scale_changes: Vec::new(),
@@ -265,11 +174,10 @@ pub(super) fn stream_diagnosis(
         encoding_spans: EncodingSpans::default(),
         frame_correction: stream_state.frame_correction(),
         residual,
-        is_nominal: fitted.deviations.is_some(),
+        is_nominal: deviations.is_some(),
         is_derived: false,
-        link_m: fitted.deviations.as_ref().map(|deviations| deviations.link_m),
-        largest_displacement: fitted
-            .deviations
+        link_m: deviations.as_ref().map(|deviations| deviations.link_m),
+        largest_displacement: deviations
             .as_ref()
             .and_then(|deviations| deviations.largest_displacement),
         observability: Some(observability),
@@ -279,7 +187,7 @@ pub(super) fn stream_diagnosis(
     if !found.is_nominal {
         return found;
     }
-    let is_free = |cause: Cause| candidates.always.contains(&cause) || causes.contains(&cause);
+    let is_free = |cause: Cause| candidates.always.contains(&cause) || is_chosen(cause);
     let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
     let [reference, tool] = frames_with_links(&found, stream.chain, free);
     PoseDiagnosis {
@@ -287,6 +195,122 @@ pub(super) fn stream_diagnosis(
         tool: tool.map_or(found.tool, Ok),
         ..found
     }
+}
+
+/// One stream in the common fit of all.
+struct StreamFit<'a> {
+    recorded: &'a JointTrack,
+    stream: &'a PoseStream<'a>,
+    decoded: &'a DecodedStream<'a>,
+    fitted: &'a ArmFit,
+    index: usize,
+}
+
+impl StreamFit<'_> {
+    /// The chosen causes and this one.
+    fn causes_with(&self, cause: Cause) -> Vec<Cause> {
+        let mut causes = self.fitted.model.causes.clone();
+        if !causes.contains(&cause) && !self.fitted.candidates.always.contains(&cause) {
+            causes.push(cause);
+        }
+        causes
+    }
+
+    fn is_candidate(&self, cause: Cause) -> bool {
+        self.fitted.candidates.all().contains(&cause)
+    }
+
+    /// Amount of a cause beside the chosen ones.
+    fn estimate(&self, cause: Cause) -> EstimateResult<Measured> {
+        let ArmFit { model, deviations, .. } = self.fitted;
+        let is_nominal = deviations.is_some() && !model.causes.contains(&cause);
+        if is_nominal && matches!(cause, Cause::RadialScale(_)) {
+            Err(NotObservable::NominalKinematics)
+        } else if is_hidden(self.fitted, cause, self.index) {
+            Err(NotObservable::NotExcited)
+        } else if self.is_candidate(cause) {
+            measured(self.fitted, &self.causes_with(cause), cause, 0)
+        } else {
+            Err(NotObservable::AtRest)
+        }
+    }
+
+    /// Error of a frame beside the chosen causes.
+    fn frame(&self, cause: Cause) -> EstimateResult<FrameEstimate> {
+        let ArmFit { model, candidates, deviations, .. } = self.fitted;
+        if deviations.is_some() && !self.is_candidate(cause) {
+            return Err(NotObservable::NominalKinematics);
+        }
+        if is_hidden(self.fitted, cause, self.index) {
+            return Err(NotObservable::NotExcited);
+        }
+        frame_estimate(model, candidates, &self.causes_with(cause), cause, self.index)
+    }
+
+    /// Latency, and the jitter of the delays if they are measured one by one.
+    fn latency(&self, aligned: &AlignedSamples) -> (EstimateResult<Measured>, Option<DelayJitter>) {
+        let model = &self.fitted.model;
+        if let Some(lags) = aliases(self.decoded, model, self.index) {
+            return (Err(NotObservable::Periodic(lags)), None);
+        }
+        let fitted = match self.timing() {
+            Some(timing) => Ok(timing.latency_s),
+            None => self.estimate(Cause::Latency(self.index)),
+        };
+        let fitted = match fitted {
+            Ok(latency) => latency,
+            Err(why) => return (Err(why), None),
+        };
+        let delays = estimate_delay_jitter(aligned, model.state.streams[self.index].latency_s);
+        let latency = delays.as_ref().map_or(fitted, |delays| delays.median_s);
+        (Ok(widened(latency, self.stream.stamp_error_s)), delays)
+    }
+
+    fn skew(&self) -> EstimateResult<Measured> {
+        let skew = match self.timing().and_then(|timing| timing.skew) {
+            Some(skew) => skew,
+            None => self.estimate(Cause::Skew(self.index))?,
+        };
+        let t_s = &self.decoded.observations.t_s;
+        let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
+        // Stamp errors at both ends look like skew.
+        Ok(widened(skew, 2.0 * self.stream.stamp_error_s / span_s))
+    }
+
+    /// Latency and skew beside link deviations.
+    fn timing(&self) -> Option<Timing> {
+        self.fitted.timings.get(self.index).copied().flatten()
+    }
+
+    /// Latency over the run. Whether it is unsteady is decided beside link deviations.
+    fn latency_profile(&self, aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
+        let Self { recorded, stream, decoded, index, .. } = *self;
+        let model = &self.fitted.model;
+        let stream_state = &model.state.streams[index];
+        let rest_speeds = rest_speeds(recorded);
+        let speed = |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - stream_state.latency_s);
+        // In a moving frame, the corrected poses also depend on the latency.
+        let fk_at = |late_s: &dyn Fn(f64) -> f64| {
+            let is_fixed = stream.moving_frame.is_none();
+            is_fixed.then(|| fk_at_latency(aligned, decoded, model, index, late_s))
+        };
+        let removed = stream.removed_ramp;
+        let profile = latency_profile(aligned, stream_state.skew, removed, speed, fk_at)?;
+        if profile.shape == LatencyShape::Steady {
+            return Ok(profile);
+        }
+        let (state, zeros) = (without_small_causes(model, index), &model.state.offsets);
+        match is_unsteady_beside_links(&decoded.observations, &state, zeros, &profile, removed) {
+            Some(false) if profile.is_unsteady => Err(NotObservable::NotExcited),
+            Some(is_unsteady) => Ok(LatencyProfile { is_unsteady, ..profile }),
+            None => Ok(profile),
+        }
+    }
+}
+
+/// With another, independent error.
+fn widened(measured: Measured, error: f64) -> Measured {
+    Measured { std_error: measured.std_error.hypot(error), ..measured }
 }
 
 /// Speed at the sample before, rad/s. 0 if all joints rest.

@@ -80,46 +80,8 @@ pub(crate) fn decode_stream<'a>(
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let metres = placement.metres();
-    let mut interpretations: Vec<PositionInterpretation> = Vec::new();
-    for position_encoding in &placement.candidates {
-        for other in PositionInterpretation::from_encoding(position_encoding, spread(&at)) {
-            // Several candidates may leave the reference free.
-            if !interpretations.iter().any(|known| known.has_rotations_of(&other)) {
-                interpretations.push(other);
-            }
-        }
-    }
-    if reference_known && !interpretations.is_empty() {
-        // Joint zeros can turn the frame that fits the positions of a small motion.
-        let declared = PositionInterpretation {
-            axes: AxesError::NONE,
-            is_inverted: false,
-            reference: Some(Rotation::identity()),
-            ..interpretations[0]
-        };
-        if !interpretations.iter().any(|known| known.has_rotations_of(&declared)) {
-            interpretations.push(declared);
-        }
-    }
-    if interpretations.is_empty() {
-        interpretations.push(PositionInterpretation {
-            metres,
-            axes: AxesError::NONE,
-            is_inverted: false,
-            reference: None,
-        });
-    }
-    let first = PositionInterpretation { ..interpretations[0] };
-    if first.axes != AxesError::NONE {
-        let axes = AxesError::NONE;
-        interpretations.push(PositionInterpretation {
-            metres,
-            axes,
-            is_inverted: first.is_inverted,
-            reference: None,
-        });
-    }
+    let interpretations = interpretations(placement, spread(&at), reference_known);
+    let first = interpretations[0];
     let (orientation, degrees) =
         in_detected_angle_unit(track, &rows, &turning, reference_known, first.corrections());
     let there = at_rows(&orientation, &rows);
@@ -130,12 +92,7 @@ pub(crate) fn decode_stream<'a>(
         are_quaternions: are_quaternions(track),
         only_as_logged: placement.rotations_as_logged,
     };
-    let unanchored = PositionInterpretation {
-        metres,
-        axes: AxesError::NONE,
-        is_inverted: false,
-        reference: None,
-    };
+    let unanchored = PositionInterpretation::unanchored(placement.metres());
     let (interpretation, encoding, fit) = match is_set(&there, turning.fk) {
         true => match turning.best_of(interpretations, unanchored) {
             Ok((interpretation, encoding, fit)) => (interpretation, Ok(encoding), Some(fit)),
@@ -147,13 +104,6 @@ pub(crate) fn decode_stream<'a>(
         },
         false => (first, Err(NotObservable::OrientationNotSet), None),
     };
-    let constant_axes = {
-        let mut blind = [false; 3];
-        for axis in (0..3).filter(|&axis| placement.constant[axis]) {
-            blind[interpretation.axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
-        }
-        blind
-    };
     let mut observations = PoseObservations {
         joints: &read_as.track,
         chain,
@@ -164,7 +114,10 @@ pub(crate) fn decode_stream<'a>(
         t_s: track.t_s.clone(),
         xyz: interpretation.positions(&track.xyz),
         rotation: Vec::new(),
-        excluded: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
+        excluded: ExcludedComponents {
+            position: standard_axes(placement.constant, &interpretation.axes),
+            rotation: fit.is_none(),
+        },
         tool_part: match fit {
             None => ToolPart::Point,
             Some(_) => ToolPart::Whole,
@@ -187,23 +140,69 @@ pub(crate) fn decode_stream<'a>(
     let moves = observations.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
         && !peaks.is_empty();
     let axes = Some(interpretation.axes).filter(|axes| *axes != AxesError::NONE);
-    let PositionInterpretation { metres, is_inverted: inverted, .. } = interpretation;
-    let constant = placement.constant;
-    let frames = fit.map_or(0, |fit| fit.frames.frame_count());
     Ok(DecodedStream {
         last_turn: stream.last_turn,
         observations,
         encoding,
         degrees,
-        metres,
+        metres: interpretation.metres,
         axes,
-        is_inverted: inverted,
-        constant,
-        rotated_frames: frames,
+        is_inverted: interpretation.is_inverted,
+        constant: placement.constant,
+        rotated_frames: fit.map_or(0, |fit| fit.frames.frame_count()),
         peaks,
         moves,
         shares_clock: share_stamps(&joints.t_s, &track.t_s),
     })
+}
+
+/// Interpretations of the positions that match FK within the spread of its positions, or under which rotations are
+/// tested. Never empty.
+fn interpretations(
+    placement: &PositionEncodingEstimate,
+    spread_m: f64,
+    reference_known: bool,
+) -> Vec<PositionInterpretation> {
+    let unanchored = PositionInterpretation::unanchored(placement.metres());
+    let mut interpretations: Vec<PositionInterpretation> = Vec::new();
+    // Several candidates may leave the reference free.
+    let mut add_new = |interpretation: PositionInterpretation| {
+        if !interpretations.iter().any(|known| known.has_rotations_of(&interpretation)) {
+            interpretations.push(interpretation);
+        }
+    };
+    for encoding in &placement.candidates {
+        PositionInterpretation::from_encoding(encoding, spread_m)
+            .into_iter()
+            .for_each(&mut add_new);
+    }
+    if reference_known && let Some(encoding) = placement.candidates.first() {
+        // Joint zeros can turn the frame that fits the positions of a small motion.
+        let declared = Some(Rotation::identity());
+        add_new(PositionInterpretation {
+            metres: encoding.metres,
+            reference: declared,
+            ..unanchored
+        });
+    }
+    match interpretations.first() {
+        None => interpretations.push(unanchored),
+        Some(first) if first.axes != AxesError::NONE => {
+            let is_inverted = first.is_inverted;
+            interpretations.push(PositionInterpretation { is_inverted, ..unanchored });
+        }
+        Some(_) => {}
+    }
+    interpretations
+}
+
+/// Axes in the standard convention that correspond to these logged ones.
+fn standard_axes(logged: [bool; 3], axes: &AxesError) -> [bool; 3] {
+    let mut standard = [false; 3];
+    for axis in (0..3).filter(|&axis| logged[axis]) {
+        standard[axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
+    }
+    standard
 }
 
 /// Whether nearly all stamps of the stream are stamps of the joint states.

@@ -16,6 +16,7 @@ use nalgebra::Matrix3;
 pub(crate) const MAX_ENCODING_RESIDUAL_RAD: f64 = 0.05;
 
 /// Interpretation of positions and axes before rotations are decoded.
+#[derive(Clone, Copy)]
 pub(crate) struct PositionInterpretation {
     pub metres: f64,
     pub axes: AxesError,
@@ -25,6 +26,11 @@ pub(crate) struct PositionInterpretation {
 }
 
 impl PositionInterpretation {
+    /// Standard axes, with a free rotation of the reference.
+    pub fn unanchored(metres: f64) -> Self {
+        Self { metres, axes: AxesError::NONE, is_inverted: false, reference: None }
+    }
+
     /// Interpretations of `layout` for a motion of `extent_m`.
     pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
         let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
@@ -193,10 +199,7 @@ impl OrientationSamples<'_> {
         let is_declared = |interpretation: &&PositionInterpretation| {
             interpretation.reference.is_some() && interpretation.axes == AxesError::NONE
         };
-        let declared_frame = interpretations
-            .iter()
-            .find(is_declared)
-            .map(|interpretation| PositionInterpretation { ..*interpretation });
+        let declared_frame = interpretations.iter().find(is_declared).copied();
         for interpretation in interpretations {
             let (encoding, fit) = match self.estimate_encoding(&interpretation) {
                 Ok(found) => found,

@@ -454,6 +454,7 @@ impl Model for GyroModel<'_> {
     /// Mean rates over the windows, in the sensor's frame at their ends.
     fn linearize(&self) -> Linearization {
         let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD_S]);
+        linear.reserve(self.windows.len());
         let mut stamps = Vec::new();
         let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;

@@ -434,6 +434,7 @@ impl Model for OrientationModel<'_> {
 
     fn linearize(&self) -> Linearization {
         let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD]);
+        linear.reserve(self.samples.len());
         let (mut t_s, mut world_from_imu) = (Vec::new(), Vec::new());
         let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
         for &(stamp, truth) in &self.samples {
