@@ -419,11 +419,13 @@ impl Arm {
     }
 }
 
-/// The controller's base, else the root. The arm's first link if an unlogged joint moves it.
+/// The controller's base, or the root if joints move that base, as of an arm on a rail. The arm's first link if an
+/// unlogged joint moves it.
 fn default_base(model: &LogModel, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
     let known = |joint: &Joint| path.joints.contains(&driving_joint(robot, joint).name);
-    let wanted = model.controller_base.unwrap_or(robot.root());
+    let is_fixed = |base: &LinkId| skeleton::moving_joints_above(robot, *base).next().is_none();
+    let wanted = model.controller_base.filter(is_fixed).unwrap_or(robot.root());
     let is_reachable = skeleton::moving_joints_above(robot, path.base).all(known)
         && skeleton::moving_joints_above(robot, wanted).all(known);
     if is_reachable { wanted } else { path.base }

@@ -107,6 +107,18 @@ fn the_requested_tip_overrides_the_child_frame() {
 }
 
 #[test]
+fn a_tool_tied_to_the_requested_tip_is_taken_off() {
+    let mut recording = Recording::new();
+    let (fk, tip_from_tool) = (recording.fk("base", "tool0"), some_pose());
+    let statics = vec![poses("tool0", "gripper_tcp", |_| tip_from_tool)];
+    recording.add("/tf_static", Columns::Transforms(statics));
+    recording.add_pose("/pose", poses("base", "gripper_tcp", |nanos| fk(nanos) * tip_from_tool));
+    let options = RunOptions { tip: Some("tool0".to_owned()), ..Default::default() };
+    let run = recording.run_with(options);
+    assert!(misfit_m(&run.arms[0], &run.arms[0].poses[0]) < 1e-9);
+}
+
+#[test]
 fn a_pose_measured_onto_tf_is_a_candidate_and_no_part_of_the_arm() {
     let mut recording = Recording::new();
     let fk = recording.fk("base", "tool0");

@@ -26,6 +26,10 @@ cases! {
     MDL001 a_forearm_of_another_length: |log| lengthen_forearm(&mut log.run)
         => error(Topic(POSE), ResidualBetween(0.01, 0.1));
 
+    MDL001 an_arm_on_a_rail_passes_in_the_frame_of_a_tracker: |log| {
+        crate::checks::zer::mount_on_rail(&mut log.run);
+        log.run.pose.frame_id = "tracker".to_owned();
+    } => NoFindings;
     MDL001 the_calibration_of_the_arm_leaves_no_residual: |log| {
         add_link_deviations(&mut log.run);
         log.options.run.calibrations = vec![calibration_file(&log.run.robot)];

@@ -376,9 +376,10 @@ impl Assembly<'_> {
         let (mut frame, mut frame_anchor) = arm.classify_frame(&stream.frame_id);
         let (child, child_anchor) = arm.classify_frame(&stream.child_frame_id);
         let link_anchor = |link: LinkId| FrameAnchor { link, link_from_frame: Pose::identity() };
-        // The caller's tip overrides a child frame, except in a transform.
-        let names_tip =
-            child == FrameKind::MovingLink && (!arm.tip_named || self.is_transform(stream));
+        // The caller's tip overrides a child frame, except in a transform, or if the log ties the child frame to this tip.
+        let is_on_tip = child_anchor.is_some_and(|anchor| anchor.link == arm.tip);
+        let names_tip = child == FrameKind::MovingLink
+            && (!arm.tip_named || is_on_tip || self.is_transform(stream));
         let child_tip = child_anchor.filter(|_| names_tip);
         let tip = child_tip.unwrap_or(link_anchor(arm.tip));
         let is_reached = |base: FrameAnchor| arm.chain_between(base.link, tip.link).is_some();
