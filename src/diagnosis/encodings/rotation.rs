@@ -37,8 +37,8 @@ const MIN_FITTED: usize = 16;
 /// Cosine of the largest tilt of an upright world (10°).
 const MIN_UPRIGHT_COSINE: f64 = 0.985;
 
-/// A tilt of gravity is a further fault.
-const TILT_RANK_PENALTY: u8 = 2;
+/// A tilt of gravity and gyro axes other than the orientation's are further faults.
+const CONTRADICTION_RANK_PENALTY: u8 = 2;
 
 /// Samples with FK at the same times.
 pub(crate) struct RotationSamples<'a> {
@@ -228,14 +228,16 @@ fn max_accepted(min_residual_rad: f64) -> f64 {
 pub(crate) fn estimate_encoding(
     samples: &RotationSamples,
 ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-    estimate_encoding_with_gravity(samples, &[])
+    estimate_imu_encoding(samples, &[], &|_| false)
 }
 
-/// Like [`estimate_encoding`], with specific forces in the sensor frame. A candidate must leave gravity
-/// upright on average, unless only the world is rotated. Otherwise it explains one fault by two.
-pub(crate) fn estimate_encoding_with_gravity(
+/// Like [`estimate_encoding`], with specific forces in the sensor frame, and whether the gyro contradicts a rotation of
+/// the tool. A candidate must agree with the gyro and leave gravity upright on average, unless only the world is
+/// rotated. Otherwise it explains one fault by two.
+pub(crate) fn estimate_imu_encoding(
     samples: &RotationSamples,
     forces: &[Vec3],
+    contradicts_gyro: &dyn Fn(&Rotation) -> bool,
 ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
     let need = 3;
     if samples.fk.len() < need {
@@ -260,14 +262,12 @@ pub(crate) fn estimate_encoding_with_gravity(
     let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
-            let leans = fit.residual_rad <= accepted
-                && !(may_tilt_world && turns_world_only(fit))
-                && tilts_gravity(fit, samples, forces);
-            (
-                simplicity(fit, samples.reference_known)
-                    + if leans { TILT_RANK_PENALTY } else { 0 },
-                fit,
-            )
+            let is_contradicted = fit.residual_rad <= accepted
+                && ((!(may_tilt_world && turns_world_only(fit))
+                    && tilts_gravity(fit, samples, forces))
+                    || contradicts_gyro(&fit.tool));
+            let penalty = if is_contradicted { CONTRADICTION_RANK_PENALTY } else { 0 };
+            (simplicity(fit, samples.reference_known) + penalty, fit)
         })
         .collect();
     let by_links = max_by_links(min_residual);

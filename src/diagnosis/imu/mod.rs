@@ -77,7 +77,7 @@ pub(super) fn diagnose_converted_imu(
     } else {
         // The gyro's delay is independent of the convention and more precise than the speed correlation.
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
-        link.fit_orientation(start, moves)
+        link.fit_orientation(start, moves, gyro.as_ref().ok().filter(|_| moves))
     };
     // If the orientation does not follow the arm, a match of the gyro is coincidence.
     let timing = match (&orientation, &gyro) {

@@ -5,6 +5,7 @@
 
 use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
+use super::gyro::GyroFit;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
@@ -12,7 +13,7 @@ use super::{
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
-    estimate_encoding_with_gravity,
+    estimate_imu_encoding,
 };
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::{LatencySample, fit_profile};
@@ -60,13 +61,14 @@ impl Link<'_> {
         &self,
         start: Delay,
         moves: bool,
+        gyro: Option<&GyroFit>,
     ) -> EstimateResult<OrientationFit> {
-        let (mut encoding, model) = self.orientation_model(start)?;
+        let (mut encoding, model) = self.orientation_model(start, gyro)?;
         let (model, solved) = add_likeliest_effects(model, &EFFECTS, |model| model.fit(moves));
         if let Some((from_s, to_s)) = model.longer_side() {
             // A slip makes every encoding fit badly: determine it again on one side.
             encoding = self
-                .estimate_encoding_near(&model.delay, self.known_mount(), from_s..to_s)
+                .estimate_encoding_near(&model.delay, gyro, from_s..to_s)
                 .map_or(encoding, |estimated| estimated.0);
         }
         self.check_rotation_explained(&model.delay, &solved.residuals)?;
@@ -105,14 +107,15 @@ impl Link<'_> {
     fn orientation_model(
         &self,
         start: Delay,
+        gyro: Option<&GyroFit>,
     ) -> EstimateResult<(EncodingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
         let known_mount = self.known_mount();
-        let (estimate, fit) = match self.estimate_encoding_near(&start, known_mount, WHOLE_RUN_S) {
+        let (estimate, fit) = match self.estimate_encoding_near(&start, gyro, WHOLE_RUN_S) {
             // A large slip makes two mounts: try each half.
             Err(why) => [f64::NEG_INFINITY..self.middle_s, self.middle_s..f64::INFINITY]
                 .into_iter()
-                .filter_map(|half| self.estimate_encoding_near(&start, known_mount, half).ok())
+                .filter_map(|half| self.estimate_encoding_near(&start, gyro, half).ok())
                 .min_by(|a, b| a.0.best_rad.total_cmp(&b.0.best_rad))
                 .ok_or(why)?,
             Ok(estimated) => estimated,
@@ -160,16 +163,17 @@ impl Link<'_> {
     fn estimate_encoding_near(
         &self,
         start: &Delay,
-        known_mount: Option<Rotation>,
+        gyro: Option<&GyroFit>,
         when_s: Range<f64>,
     ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
         let track = self.stream.track;
+        let known_mount = self.known_mount().unwrap_or_default();
         let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
         let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
         let step = (to - from).div_ceil(ENCODING_SAMPLES).max(1);
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
         for (k, state) in self.states((from..to).step_by(step), *start) {
-            fk.push(state.rotation * known_mount.unwrap_or_default());
+            fk.push(state.rotation * known_mount);
             logged.push(track.orientation[k]);
             forces.push(track.accel[k]);
         }
@@ -182,7 +186,14 @@ impl Link<'_> {
             only_as_logged: false,
             after: RotationCorrections::default(),
         };
-        estimate_encoding_with_gravity(&samples, &forces)
+        let contradicts_gyro = |tool: &Rotation| {
+            let rotation = gyro.and_then(|gyro| gyro.rotation_against(&(known_mount * tool)));
+            rotation.is_some_and(|rotation| {
+                let MeasuredLength { norm, p_value, .. } = rotation.size_rad;
+                p_value < MOUNT_SIGNIFICANCE && norm.value > MAX_EXPLAINED_RAD
+            })
+        };
+        estimate_imu_encoding(&samples, &forces, &contradicts_gyro)
     }
 }
 
