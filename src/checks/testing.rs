@@ -338,6 +338,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         source_kind: PoseSourceKind::Unknown,
         proof: Ok(residual_check_of(1e-5, 1e-5)),
         has_independent_stamps,
+        late_transforms: None,
         has_bare_numbers: false,
         alternation: None,
         is_undeclared: false,

@@ -10,7 +10,7 @@ use super::joint_clock::samples_with_true_stamps;
 use super::joint_stamps::{JointStamps, joint_stamps};
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{
-    DeclaredUnits, EulerEvidence, ImuEvidence, PoseEvidence, euler, named_units,
+    DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence, euler, named_units,
     unidentified_columns,
 };
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
@@ -411,6 +411,7 @@ impl PoseEvidenceOfArm<'_> {
                 angles: units.in_other_angles.is_some().then_some(units.angle),
                 lengths: units.length,
             }),
+            late_transforms: LateTransforms::of(run, source),
             alternation: alternation.map(|(_, alternation)| alternation.converted_to_m(&found)),
             diagnosis: found,
         }

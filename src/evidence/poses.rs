@@ -1,11 +1,11 @@
 use super::joint_axes::JointAxes;
 use crate::diagnosis::{
-    EstimateResult, ImuDiagnosis, ImuResidualCheck, PoseDiagnosis, PoseEncoding, ResidualCheck,
-    ToolSwitching,
+    EstimateResult, ImuDiagnosis, ImuResidualCheck, Measured, PoseDiagnosis, PoseEncoding,
+    ResidualCheck, ToolSwitching,
 };
 use crate::geometry::{AngleUnit, Convention, LengthScale, Rotation, RotationEncoding, Units};
 use crate::log::RotationLabels;
-use crate::run::{Declaration, PoseSource, PoseSourceKind, Role, Run, Stream};
+use crate::run::{Declaration, MovingBase, PoseSource, PoseSourceKind, Role, Run, Stream};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -42,6 +42,8 @@ pub struct PoseEvidence {
     pub is_of_table: bool,
     /// Unidentified columns, possibly its rotation.
     pub unidentified_columns: Vec<String>,
+    /// Transforms of the moving frame of its poses, if they are late.
+    pub late_transforms: Option<LateTransforms>,
     /// Rigid bodies on the tool between which its poses alternate. Other estimates refer to the most
     /// frequent one.
     pub alternation: Option<ToolSwitching>,
@@ -52,6 +54,34 @@ pub struct PoseEvidence {
     pub joint_axes: JointAxes,
     /// Diagnosis.
     pub diagnosis: PoseDiagnosis,
+}
+
+/// Transforms that are late against the joint states, which is corrected.
+#[derive(Clone, Debug)]
+pub struct LateTransforms {
+    /// Their topic.
+    pub topic: String,
+    /// The frame that they relate to the arm.
+    pub frame: String,
+    /// Their latency.
+    pub latency_s: Measured,
+}
+
+impl LateTransforms {
+    pub(super) fn of(run: &Run, source: &PoseSource) -> Option<Self> {
+        let MovingBase { frame, latency_s, .. } = source.moving_base.as_ref()?;
+        let has_frame = |stream: &&Stream| match &stream.columns {
+            Some(Columns::Transforms(all)) => {
+                let names = all.iter().flat_map(|one| [&one.frame_id, &one.child_frame_id]);
+                stream.role == Role::Tf && names.into_iter().any(|name| name == frame)
+            }
+            _ => false,
+        };
+        let own = || run.streams.get(source.stream);
+        let stream = run.streams.iter().find(has_frame).or_else(own)?;
+        let (topic, frame) = (stream.topic.clone(), frame.clone());
+        Some(Self { topic, frame, latency_s: (*latency_s)? })
+    }
 }
 
 /// Rotations as three numbers.

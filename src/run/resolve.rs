@@ -383,20 +383,12 @@ fn align_moving_bases(run: &mut Run, max_lag_s: f64) {
             let Some(lag) = estimate_moving_base_lag(&of.joints, &stream, max_lag_s) else {
                 continue;
             };
-            let late_s = lag.transform_latency_s;
             let source = &mut run.arms[arm].poses[source];
             let Some(base) = &mut source.moving_base else { continue };
+            base.latency_s = lag.transform_latency_s;
+            let late_s = lag.transform_latency_s.map_or(0.0, |latency| latency.value);
             base.motion.t_s.iter_mut().for_each(|t_s| *t_s -= late_s);
-            let frame = base.frame.clone();
             source.retransform(lag.latency_s);
-            let index = source.stream;
-            if let (true, Some(stream)) = (late_s != 0.0, run.streams.get_mut(index)) {
-                let (late_ms, side) =
-                    (1e3 * late_s.abs(), if late_s > 0.0 { "late" } else { "early" });
-                stream.reason += &format!(
-                    "; the transforms of '{frame}' are {late_ms:.0} ms {side} against the joint states"
-                );
-            }
         }
     }
 }

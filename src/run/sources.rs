@@ -2,7 +2,7 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use crate::diagnosis::{ImuStream, LastTurn, MovingFrame, PoseStream};
+use crate::diagnosis::{ImuStream, LastTurn, Measured, MovingFrame, PoseStream};
 use crate::geometry::Pose;
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
@@ -90,6 +90,8 @@ pub struct MovingBase {
     pub frame: String,
     /// Its motion.
     pub motion: MovingFrame,
+    /// Latency of its transforms, which `motion` is corrected for.
+    pub latency_s: Option<Measured>,
     /// The audited link's poses in the frame, as logged.
     pub logged: PoseTrack,
 }

@@ -4,7 +4,7 @@ use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{Camera, IMU, JOINT_STATES, Motion, MovingBase, POSE, TARGET, TF, Timing};
 
 use crate::checks::case::ExpectedEstimate::Amount;
-use crate::checks::case::ExpectedSubject::Topic;
+use crate::checks::case::ExpectedSubject::{Frame, Topic};
 use crate::checks::case::{
     Expected, Log, cases, error, half_width, single_finding, summary, warning,
 };
@@ -68,6 +68,10 @@ cases! {
     LAT001 a_target_without_latency: |log| crate::checks::hec::watch_target(log, Camera::InHand) => NoFindings;
 
     LAT001 a_pose_on_a_moving_base_passes: drive => NoFindings;
+    LAT001 late_transforms_of_a_moving_base: |log| {
+        drive(log);
+        log.run.moving_base.as_mut().expect("a moving base").transform_timing.latency_s = 0.06;
+    } => error(Frame(TF, "odom"), Amount(0.06, 0.5e-3));
     LAT001 a_late_pose_on_a_moving_base: |log| {
         drive(log);
         log.run.pose.timing.latency_s = 0.015;

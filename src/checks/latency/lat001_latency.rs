@@ -5,9 +5,9 @@ use serde_json::json;
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{DelayJitter, EstimateResult, Measured};
-use crate::evidence::{ArmEvidence, HandEyeEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, LateTransforms, StreamEvidence};
 use crate::finding::{
-    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject, Unit,
 };
 
 rule! {
@@ -27,7 +27,7 @@ rule! {
     /// interval that allows for correlated noise. For a camera target: the lag that best closes the
     /// hand-eye chain, fitted together with the camera's pose. For one of several topics of an arm's joint
     /// states: the lag at which its joints match the poses together with the others; other rules use the
-    /// corrected stamps.
+    /// corrected stamps. The same holds for transforms of a moving frame, such as odometry, in which poses are.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
     /// of the two is off, `indistinguishable` lists the other one.
@@ -135,8 +135,11 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let streams: Vec<StreamEvidence<StreamLatency>> = poses.chain(imus).chain(targets).collect();
     let of_topic =
         arm.joint_topic.iter().map(|(late, other)| judge_joint_topic(case, arm, late, other));
-    let of_topic: Vec<SubjectResult> = of_topic.collect();
-    of_topic.into_iter().chain(judge_streams(case, arm, &streams)).collect()
+    let of_transforms = arm.poses.iter().filter_map(|stream| {
+        Some(judge_transforms(case, arm, stream.late_transforms.as_ref()?, stream.span))
+    });
+    let of_groups: Vec<SubjectResult> = of_topic.chain(of_transforms).collect();
+    of_groups.into_iter().chain(judge_streams(case, arm, &streams)).collect()
 }
 
 fn judge_streams(
@@ -186,6 +189,33 @@ fn judge_joint_topic(
     };
     let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
     late.judged(outcome).within(late.span).estimated(estimate)
+}
+
+/// Latency of the transforms of a moving frame, such as odometry, in which poses are.
+fn judge_transforms(
+    case: &Case,
+    arm: &ArmEvidence,
+    LateTransforms { topic, frame, latency_s: latency }: &LateTransforms,
+    span: Option<Span>,
+) -> SubjectResult {
+    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
+    let outcome = match decide(latency, &threshold, case.evidence.subjects()) {
+        Decision::Pass => Outcome::pass(),
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => Outcome::fail(Fault {
+            severity,
+            cause: Cause::Stamps,
+            title: if latency.value > 0.0 { "transforms are late" } else { "transforms are early" },
+            message: format!("the transforms of {frame} are {}", message(arm, latency)),
+            evidence: Evidence::default(),
+            fix: format!(
+                "stamp them when {frame} is measured, or shift them by {}",
+                shift(latency)
+            ),
+        }),
+    };
+    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
+    SubjectResult::new(arm.frame(topic, frame), outcome).within(span).estimated(estimate)
 }
 
 /// Latency of a target relative to a hand without joint states; which of the two is off is undetermined.

@@ -7,8 +7,11 @@ use crate::encodings::position::metres_by_size;
 use crate::latency::coarse::detect_pose_latency_changes;
 use crate::latency::compensation::with_stamps;
 use crate::latency::correlation::ArmSpeeds;
+use crate::solver::noise::Noise;
 use ground::geometry::{Pose, Vec3};
+use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations};
+use nalgebra::{Matrix2, Vector2};
 
 const MAX_SAMPLES: usize = 300;
 const MIN_SAMPLES: usize = 20;
@@ -30,8 +33,8 @@ const MAX_RESIDUAL_RATIO_OFF_ARM: f64 = 0.5;
 pub struct MovingBaseLag {
     /// Latency of the poses, s. If it varies, its smallest level, or 0 for a ramp.
     pub latency_s: f64,
-    /// Latency of the transforms, s.
-    pub transform_latency_s: f64,
+    /// Latency of the transforms, s; `None` unless it differs from 0.
+    pub transform_latency_s: Option<Measured>,
 }
 
 /// Estimates the latencies of the poses in a moving frame and of its transforms by FK: minimises the position residual of
@@ -63,7 +66,8 @@ fn lag_with_stamps(
     let frame = stream.moving_frame?;
     let logged = frame.in_frame(stream.track);
     let rows = sample_rows(logged.t_s.len());
-    let cost = |lag_s: f64, latency_s: f64| -> f64 {
+    // Positions of the poses in the tip, about a constant tool offset.
+    let offsets = |lag_s: f64, latency_s: f64| -> Option<Vec<Vec3>> {
         let mut fk = FkSequence::new(joints, stream);
         let offsets = rows.iter().filter_map(|&row| {
             let t_s = logged.t_s[row];
@@ -73,12 +77,16 @@ fn lag_with_stamps(
         });
         let offsets: Vec<Vec3> = offsets.collect();
         if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
-            return f64::INFINITY;
+            return None;
         }
-        // About a constant tool offset.
         let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
-        let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
-        (squares.sum::<f64>() / offsets.len() as f64).sqrt()
+        Some(offsets.into_iter().map(|offset| offset - tool).collect())
+    };
+    let cost = |lag_s: f64, latency_s: f64| -> f64 {
+        offsets(lag_s, latency_s).map_or(f64::INFINITY, |offsets| {
+            let squares = offsets.iter().map(Vec3::norm_squared);
+            (squares.sum::<f64>() / offsets.len() as f64).sqrt()
+        })
     };
     let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
@@ -94,16 +102,50 @@ fn lag_with_stamps(
         && min_cost > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
     {
         // No lag matches FK: joints may be misinterpreted, so keep the stamps.
-        return Some((MovingBaseLag { latency_s: 0.0, transform_latency_s: 0.0 }, min_cost));
+        return Some((MovingBaseLag { latency_s: 0.0, transform_latency_s: None }, min_cost));
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
         || min_cost > MAX_RESIDUAL_RATIO * min_cost_together;
     Some(match is_on_time {
         true => {
-            let lag = MovingBaseLag { latency_s: together, transform_latency_s: 0.0 };
+            let lag = MovingBaseLag { latency_s: together, transform_latency_s: None };
             (lag, min_cost_together)
         }
-        false => (MovingBaseLag { latency_s, transform_latency_s: latency_s - lag_s }, min_cost),
+        false => {
+            let late = difference_of_lags([lag_s, latency_s], &offsets)?;
+            (MovingBaseLag { latency_s, transform_latency_s: Some(late) }, min_cost)
+        }
+    })
+}
+
+/// Latency minus lag, with its standard error from the derivatives of `offsets` by both.
+fn difference_of_lags(
+    [lag_s, latency_s]: [f64; 2],
+    offsets: &impl Fn(f64, f64) -> Option<Vec<Vec3>>,
+) -> Option<Measured> {
+    /// For central differences.
+    const STEP_S: f64 = 1e-3;
+    const NOISE_FLOOR_M: f64 = 1e-6;
+    let derivative = |by: [f64; 2]| -> Option<Vec<Vec3>> {
+        let [before, after] =
+            [-1.0, 1.0].map(|sign| offsets(lag_s + sign * by[0], latency_s + sign * by[1]));
+        let pairs = after?.into_iter().zip(before?);
+        Some(pairs.map(|(after, before)| (after - before) / (2.0 * STEP_S)).collect())
+    };
+    let (by_lag, by_latency) = (derivative([STEP_S, 0.0])?, derivative([0.0, STEP_S])?);
+    let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let across = dot(&by_lag, &by_latency);
+    let information =
+        Matrix2::new(dot(&by_lag, &by_lag), across, across, dot(&by_latency, &by_latency));
+    let residual: Vec<[f64; 3]> = offsets(lag_s, latency_s)?.into_iter().map(Into::into).collect();
+    let noise = Noise::estimate(&residual, &vec![1.0; residual.len()], NOISE_FLOOR_M);
+    let along = Vector2::new(-1.0, 1.0);
+    let variance = along.dot(&(information.try_inverse()? * along));
+    let independent = 3.0 * residual.len() as f64 / noise.inflation();
+    Some(Measured {
+        value: latency_s - lag_s,
+        std_error: noise.sigma * (variance * noise.inflation()).sqrt(),
+        dof: (independent - 2.0).max(1.0),
     })
 }
 
@@ -370,9 +412,10 @@ mod tests {
         };
         let (on_time, late) = (lag(0.0), lag(0.05));
         assert!((on_time.latency_s - 0.03).abs() < 2e-4, "{on_time:?}");
-        assert_eq!(on_time.transform_latency_s, 0.0);
+        assert_eq!(on_time.transform_latency_s, None);
         assert!((late.latency_s - 0.03).abs() < 1e-3, "{late:?}");
-        assert!((late.transform_latency_s - 0.05).abs() < 1e-3, "{late:?}");
+        let late = late.transform_latency_s.expect("late transforms");
+        assert!((late.value - 0.05).abs() < 1e-3 && late.std_error < 1e-3, "{late:?}");
     }
 
     #[test]

@@ -494,6 +494,7 @@ impl Assembly<'_> {
                 base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
                 lag_s: 0.0,
             },
+            latency_s: None,
             logged: track.clone(),
         });
         let track = moving_base.as_ref().map_or(track, |base| base.motion.in_base(&base.logged));
