@@ -8,7 +8,8 @@ use crate::checks::decision::{
 };
 use crate::checks::{Case, Rule, SubjectResult, changes, residual_attribution};
 use crate::diagnosis::{
-    Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, PoseDiagnosis,
+    Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, NotObservable,
+    PoseDiagnosis,
 };
 use crate::evidence::{ArmEvidence, JointAxes, PoseEvidence, StreamEvidence, Tolerance};
 use crate::finding::{Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
@@ -79,6 +80,14 @@ fn judge_stream(
     })
 }
 
+/// Whether the motion determines no convention of undeclared rotation numbers.
+fn rests_on_convention(stream: &PoseEvidence) -> bool {
+    let encoding = stream.diagnosis.encoding.as_ref();
+    stream.is_undeclared
+        && stream.has_bare_numbers
+        && encoding.is_ok_and(|encoding| !encoding.is_determined)
+}
+
 fn judge_constant(
     case: &Case,
     arm: &ArmEvidence,
@@ -111,6 +120,13 @@ fn judge_constant(
         }
         (Decision::Undecided(_), Some(why)) if arm.is_trajectory => unjudged(arm, &why),
         (_, Some(why)) => Outcome::pass_with_remark(why),
+        (Decision::Fail(_), None)
+            if rests_on_convention(stream)
+                && frame.translation_m.value < thresholds.length.warning =>
+        {
+            let what = "the convention of the rotation numbers (ORD001)";
+            not_observable(&NotObservable::RestsOn(what), settle(arm))
+        }
         (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::residual_doubt(residual_m, effect_m) {
                 Some(why) => Outcome::Inconclusive(why),

@@ -15,7 +15,8 @@ rule! {
     ///
     /// ## Evidence
     /// The angle between the world frame's vertical and the mean specific force at rest, rotated into that
-    /// frame by the logged orientation. The interval comes from its scatter.
+    /// frame by the logged orientation. If the arm never rests, the acceleration by FK is subtracted from the
+    /// forces in motion. The interval comes from the scatter over the run.
     ///
     /// If the tilt is close to 90° or 180°, the finding names the world axis that points up instead of z
     /// (REP 145): z down is NED. `up_in_world` is the measured up direction in that frame, `up_in_base` the
@@ -26,8 +27,7 @@ rule! {
     /// Calibrate the accelerometer's bias, or level the IMU's world frame.
     ///
     /// ## When it misleads
-    /// An accelerometer bias of 0.1 m/s² is a tilt of 0.6°. A run that ends far from its start has a small
-    /// mean acceleration. Without an accelerometer the tilt is not observable.
+    /// An accelerometer bias of 0.1 m/s² is a tilt of 0.6°. Without an accelerometer the tilt is not observable.
     YAW002 {
         name: "imu-tilt",
         grade: Grade::From(&[THRESHOLD]),

@@ -189,7 +189,8 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{clean_run, evaluate_rule, frame};
+    use crate::checks::testing::{clean_run, evaluate_rule, frame, precise};
+    use crate::finding::Status;
 
     fn severity_of(tip_named: bool) -> Option<Severity> {
         let mut run = clean_run();
@@ -197,6 +198,25 @@ mod tests {
         arm.poses[0].is_tip_declared = tip_named;
         arm.poses[0].diagnosis.tool = Ok(FrameEstimate { is_chosen: true, ..frame(0.14) });
         evaluate_rule(&FRM003, &run).1.first().map(|finding| finding.severity)
+    }
+
+    #[test]
+    fn a_rotation_whose_convention_is_undetermined_is_not_judged() {
+        let statuses = |is_determined: bool| {
+            let mut run = clean_run();
+            let pose = &mut run.robots[0].poses[0];
+            pose.is_tip_declared = true;
+            (pose.has_bare_numbers, pose.is_undeclared) = (true, true);
+            pose.diagnosis.tool = Ok(FrameEstimate {
+                rotation_rad: precise(2.0),
+                p_value: 0.0,
+                is_chosen: true,
+                ..frame(0.0)
+            });
+            pose.diagnosis.encoding.as_mut().unwrap().is_determined = is_determined;
+            evaluate_rule(&FRM003, &run).0[0].status
+        };
+        assert_eq!([true, false].map(statuses), [Status::Fail, Status::Inconclusive]);
     }
 
     #[test]

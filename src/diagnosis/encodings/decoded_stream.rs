@@ -23,6 +23,8 @@ use crate::{
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
+/// Smaller turns may be due to small joint errors.
+const MIN_TURN_RAD: f64 = 0.2;
 /// For a latency estimate.
 const MIN_MOVING_SAMPLES: usize = 10;
 
@@ -223,13 +225,19 @@ fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
         Orientations::Unset(_) => return false,
     };
-    !is_constant || !has_rotation(fk)
+    !is_constant || max_angle(fk) <= MIN_TURN_RAD
 }
 
-/// Whether rotations change more than small joint errors explain.
-fn has_rotation(rotations: &[Rotation]) -> bool {
-    const MIN_ROTATION_RAD: f64 = 0.2;
-    max_angle(rotations) > MIN_ROTATION_RAD
+/// Largest turn from the first rotation, rad; of numbers, the largest change of one.
+fn turn_rad(orientation: &Orientations) -> f64 {
+    match orientation {
+        Orientations::Rotations(all) => max_angle(all),
+        Orientations::Numbers(all) => {
+            let changes = all.iter().flat_map(|one| (0..3).map(|at| (one[at] - all[0][at]).abs()));
+            changes.fold(0.0, f64::max)
+        }
+        Orientations::Unset(_) => 0.0,
+    }
 }
 
 /// rad, from the first rotation.
@@ -256,6 +264,11 @@ fn in_detected_angle_unit<'a>(
         }
         _ => return (Cow::Borrowed(&track.orientation), None),
     };
+    // A constant rotation is constant in any unit.
+    let turns = |orientation: &Orientations| turn_rad(&at_rows(orientation, rows)) > MIN_TURN_RAD;
+    if !turns(&track.orientation) && !turns(&other) {
+        return (Cow::Borrowed(&track.orientation), None);
+    }
     let residual = |orientation: &Orientations| {
         let there = at_rows(orientation, rows);
         let logged = LoggedRotations::from_orientations(&there);

@@ -107,12 +107,16 @@ pub(super) fn diagnose_converted_imu(
     let accel_stream =
         ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
     let link = Link::new(joints, &accel_stream, numbers);
+    let mount = match &orientation {
+        Ok(fit) => fit.link_from_imu,
+        Err(_) => stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default(),
+    };
     let common = ImuDiagnosis {
         latency_s,
         latency_profile,
         skew,
         conventions: numbers.clone(),
-        tilt_rad: link.tilt(lag_s),
+        tilt_rad: link.tilt(lag_s, &mount),
         gyro_bias: gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.bias.clone()),
         ..ImuDiagnosis::not_observable(orientation.as_ref().err().unwrap_or(&NotObservable::AtRest))
     };
@@ -296,6 +300,8 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
 struct LinkState {
     /// `base_from_link`.
     rotation: Rotation,
+    /// In base, m.
+    position: Vec3,
     /// In base, rad/s.
     rate: Vec3,
     /// Covariance in base, rad².
@@ -376,6 +382,7 @@ impl<'a> Link<'a> {
         let pose = self.stream.chain.forward_with_jacobian(&buffers.q, &mut buffers.jacobian);
         let mut link_state = LinkState {
             rotation: pose.rotation,
+            position: pose.translation.vector,
             rate: Vec3::zeros(),
             rotation_noise: Matrix3::zeros(),
             rate_noise: 0.0,
