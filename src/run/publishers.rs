@@ -247,7 +247,16 @@ fn compare_publishers(
     const MIN_STEADY_RATIO: f64 = 0.7;
     /// Ratio of largest to usual distance that motion causes.
     const MIN_VARIATION_RATIO: f64 = 2.0;
+    /// Share of the second's rows that repeat a neighbour: a relay sends copies.
+    const MIN_COPIED_SHARE: f64 = 0.9;
     let row = |at: usize| series.rows[at].1;
+    let is_copy = |at: &&usize| {
+        let after = first.partition_point(|&other| t_s[other] < t_s[**at]);
+        let neighbours = first[after.saturating_sub(1)..first.len().min(after + 1)].iter();
+        neighbours.into_iter().any(|&other| series.values.is_same(row(other), row(**at)))
+    };
+    let copies = second.iter().filter(is_copy).count();
+    let is_relay = copies as f64 > MIN_COPIED_SHARE * second.len() as f64;
     let gap = |left: usize, at: usize, right: usize| {
         let span_s = t_s[right] - t_s[left];
         let part = if span_s > 0.0 { (t_s[at] - t_s[left]) / span_s } else { 0.0 };
@@ -284,7 +293,7 @@ fn compare_publishers(
     let [least, most] = [0.1, 0.9].map(|part| quantile(gaps.iter().map(|gap| gap.size_m()), part));
     Some(PublisherDistance {
         distance: by,
-        is_significant: length.1 || angle.1,
+        is_significant: !is_relay && (length.1 || angle.1),
         is_steady: least > MIN_STEADY_RATIO * most,
     })
 }
@@ -390,6 +399,13 @@ mod tests {
                 assert!((apart_m - off_m).abs() < 1e-4, "{case}");
             }
         }
+    }
+
+    #[test]
+    fn a_relay_does_not_disagree() {
+        let mut both = sent(&[(20.0, 0.0, 0.0), (20.0, 3.0, 0.0)]);
+        both.xyz = (0..both.xyz.len()).map(|row| both.xyz[row - row % 2]).collect();
+        assert_eq!(detect(&both).expect("two publishers").distance, None);
     }
 
     #[test]

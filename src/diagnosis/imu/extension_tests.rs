@@ -413,8 +413,8 @@ impl<'a> ExtensionTests<'a> {
         Extension { columns, weights, added }
     }
 
-    /// Products of a walk's increments. An increment has weight 1 where a later one has any, so their product is that
-    /// of the later one alone.
+    /// Products of a walk's increments. While an increment passes, every earlier one has weight 1, so the product of
+    /// both contains only the later weight.
     fn increments(&self, column: usize, walk: &Walk) -> Added {
         let count = walk.increments;
         let zeros = || vec![Added::zeros(self.base.len(), 1); count];
