@@ -147,7 +147,7 @@ fn read_array(
             let logged = [values[3], values[4], values[5], values[6]];
             Some((xyz(row), rotation_from_xyzw(as_xyzw(logged, declared))?))
         })),
-        _ => {
+        12 | 16 => {
             let layout = MatrixOrder::detect(array).ok_or_else(|| {
                 format!("its {} numbers per row are not a pose matrix", array.width)
             })?;
@@ -157,7 +157,13 @@ fn read_array(
                 Some((Vec3::from(translation) * scale, rotation))
             }))
         }
+        width => Err(not_a_pose(width)),
     }
+}
+
+/// Why arrays of this width are not poses.
+pub(super) fn not_a_pose(width: usize) -> String {
+    format!("{width} numbers per row are not a pose (6, 7, 12 or 16 are)")
 }
 
 fn unit_m(declared: Option<&Declaration>) -> f64 {
@@ -320,8 +326,10 @@ mod tests {
                 assert!(angle_between(&rotations(&track)[row], &rotation(row)) < 1e-12);
             }
         }
-        let junk = array(16, |row| vec![row as f64; 16]);
-        assert!(from_array(&junk, &rows(5), None, Stamp::default()).is_err());
+        for width in [2, 4, 16] {
+            let junk = array(width, |row| vec![row as f64; width]);
+            assert!(from_array(&junk, &rows(5), None, Stamp::default()).is_err(), "{width}");
+        }
     }
 
     #[test]

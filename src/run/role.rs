@@ -4,6 +4,7 @@ use crate::geometry::{Convention, RotationEncoding, vendors};
 use crate::log::{COMMAND_WORDS, RotationLabels};
 use crate::stream::{ArrayColumns, Columns};
 
+use super::poses::not_a_pose;
 use super::streams::Stream;
 
 /// Role of a stream in the audit.
@@ -346,14 +347,11 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
     if let Some(word) = find_word(&topic_words, NON_POSE_WORDS) {
         return (Role::Ignored, format!("not a pose, by the word '{word}' in its name"));
     }
+    if !is_pose_width {
+        return (Role::Ignored, not_a_pose(width));
+    }
     if let Some(word) = carried_word(&topic_words) {
         return (Role::Unassigned, format!("an object, by the word '{word}' in its name"));
-    }
-    if !is_pose_width {
-        return (
-            Role::Ignored,
-            format!("{width} numbers per row are not a pose (6, 7, 12 or 16 are)"),
-        );
     }
     if let Some(driver) = find_driver(&topic_words) {
         let reason = format!("the name that {driver} use for the tool pose");
@@ -602,6 +600,7 @@ mod tests {
             ("/arm/joint_torques", 6, false, Role::Ignored),
             ("/ft_sensor/wrench", 6, false, Role::Ignored),
             ("/battery", 3, false, Role::Ignored),
+            ("object_pose", 2, false, Role::Ignored),
             ("/battery", 3, true, Role::Ignored),
         ] {
             assert_eq!(array_role(topic, width, declared).0, expected, "{topic}");
