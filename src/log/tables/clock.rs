@@ -73,6 +73,10 @@ const EXCLUDED_WORDS: &[&str] = &[
     "sleep",
 ];
 
+/// Words in the names of stamps of images.
+const IMAGE_WORDS: &[&str] =
+    &["image", "images", "img", "camera", "cameras", "cam", "video", "depth", "rgb"];
+
 /// Words for numbers that count rows or messages, at whatever rate.
 const COUNTER_WORDS: &[&str] =
     &["id", "ids", "index", "idx", "seq", "sequence", "count", "counter", "frame", "row", "packet"];
@@ -321,18 +325,20 @@ fn stem_of(name: &str, unit_s: f64) -> Option<Vec<String>> {
 }
 
 /// Selects the finest clock, because a stamp in whole seconds repeats. Header stamps take precedence over
-/// receive times.
+/// receive times, and stamps of the robot over those of images.
 fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     /// Rows that repeat a stamp.
     const MAX_REPEATED_PERCENT: usize = 5;
-    let is_header = |clock: &Clock| {
-        let name = clock.cell.map(|(at, _)| names::split_words(&table.columns[at].name));
-        name.is_some_and(|words| words.contains(&"header".to_owned()))
+    let has_word = |clock: &Clock, known: &[&str]| {
+        let words = clock.cell.map(|(at, _)| names::split_words(&table.columns[at].name));
+        words.into_iter().flatten().any(|word| known.contains(&word.as_str()))
     };
     clocks.into_iter().min_by_key(|clock| {
         let repeats = clock.repeats();
         let is_coarse = 100 * repeats > MAX_REPEATED_PERCENT * table.rows;
-        (is_coarse, !is_header(clock), clock.nanos.is_none(), repeats, clock.cell)
+        let is_of_images = has_word(clock, IMAGE_WORDS);
+        let is_received = !has_word(clock, &["header"]);
+        (is_of_images, is_coarse, is_received, clock.nanos.is_none(), repeats, clock.cell)
     })
 }
 
@@ -444,8 +450,10 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     let is_counter = |column: &Column| {
         names::split_words(&column.name).iter().any(|word| COUNTER_WORDS.contains(&word.as_str()))
     };
+    // A joint may move as evenly as a clock.
+    let is_measured = |column: &Column| column.width == 1 && names::is_joints_or_pose(&column.name);
     let columns = table.columns.iter().enumerate();
-    for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
+    for (at, column) in columns.filter(|(_, own)| !is_counter(own) && !is_measured(own)) {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
