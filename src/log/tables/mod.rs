@@ -571,7 +571,8 @@ impl Tables {
         (losses, intake): (&mut Losses, &mut Intake),
     ) -> Result<(), EpisodeError> {
         if table.rows < 2 {
-            return Err(EpisodeError::UnusableRows(format!("it has {} rows", table.rows)));
+            let what = if table.rows == 0 { "it has no rows" } else { "it has only one row" };
+            return Err(EpisodeError::UnusableRows(what.to_owned()));
         }
         let layout = match row_layout {
             Some(layout) => {

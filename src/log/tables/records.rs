@@ -11,8 +11,8 @@ use serde_json::{Map, Value};
 
 use super::csv::{decimal_billionths, text_number};
 use super::{
-    Column, ColumnSettings, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_WIDTH, ReadContext, Table,
-    TableError, clock, most_frequent, rate_in,
+    Column, ColumnSettings, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_PARAMETERS, MAX_WIDTH,
+    ReadContext, Table, TableError, clock, most_frequent, rate_in,
 };
 use crate::Extent;
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
@@ -26,6 +26,8 @@ const HEAD_KEYS: usize = 64;
 /// Keys of the topic, if records of several topics are in one file.
 const TOPIC_KEYS: [&str; 4] = ["topic", "channel", "stream", "type"];
 const MAX_TOPICS: usize = 64;
+/// Of a pose, as a nested list.
+const MATRIX_ROWS: usize = 4;
 
 /// Whether a text starts like a JSON object or a list of objects or numbers.
 pub(crate) fn looks_like_json(bytes: &[u8]) -> bool {
@@ -140,15 +142,20 @@ fn read_concatenated(
     text: &[u8],
     context: &mut ReadContext,
 ) -> Result<Option<Records>, TableError> {
-    let documents = serde_json::Deserializer::from_slice(text).into_iter::<Value>();
+    let mut documents = serde_json::Deserializer::from_slice(text).into_iter::<Value>();
+    let head: Vec<Value> = documents.by_ref().take(2).filter_map(Result::ok).collect();
+    let [first, second] = head.as_slice() else { return Ok(None) };
+    let are_numbered = have_numbered_keys(first, second);
     let (mut records, mut count) = (Records::default(), 0);
-    for document in documents {
+    for document in head.into_iter().map(Ok).chain(documents) {
         match document {
             Ok(document) => {
                 count += 1;
-                records.push_rows(&document, context.memory)?;
+                match numbered_record(&document).filter(|_| are_numbered) {
+                    Some((key, record)) => records.push_with_key(key, record, context.memory)?,
+                    None => records.push_rows(&document, context.memory)?,
+                }
             }
-            Err(_) if count < 2 => return Ok(None),
             Err(error) => {
                 let what = format!("after {count} JSON documents: {error}");
                 context.losses.add_unplaced(Extent::Messages, None, what);
@@ -156,7 +163,21 @@ fn read_concatenated(
             }
         }
     }
-    Ok((count > 1 && !records.columns.is_empty()).then_some(records))
+    Ok((!records.columns.is_empty()).then_some(records))
+}
+
+/// The record of a document with one numbered key, as in `{"step 3": {…}}`.
+fn numbered_record(document: &Value) -> Option<(&str, &Value)> {
+    let mut members = document.as_object()?.iter();
+    let (key, record) = members.next().filter(|_| members.next().is_none())?;
+    let is_numbered = key.ends_with(|c: char| c.is_ascii_digit());
+    (is_numbered && record.is_object()).then_some((key, record))
+}
+
+/// Whether documents are records below numbers of their own.
+fn have_numbered_keys(first: &Value, second: &Value) -> bool {
+    let keys = [first, second].map(|document| numbered_record(document).map(|(key, _)| key));
+    matches!(keys, [Some(first), Some(second)] if first != second)
 }
 
 /// Names and rate of a first record that describes the others: it has no time and no name of the second one, which has
@@ -182,9 +203,9 @@ fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>,
     let lines = lines.filter(|(_, line)| !line.trim_ascii().is_empty());
     let head: Vec<Value> =
         lines.clone().take(2).filter_map(|(_, line)| serde_json::from_slice(line).ok()).collect();
-    let description = match head.as_slice() {
-        [first, second] => description(first, second),
-        _ => None,
+    let (description, are_numbered) = match head.as_slice() {
+        [first, second] => (description(first, second), have_numbered_keys(first, second)),
+        _ => (None, false),
     };
     let lines = lines.skip(usize::from(description.is_some()));
     if let Some((names, rate_hz)) = description {
@@ -195,7 +216,10 @@ fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>,
     for (index, line) in lines {
         match serde_json::from_slice::<Value>(line) {
             Ok(value @ (Value::Object(_) | Value::Array(_))) => {
-                records.push(&value, context.memory)?;
+                match numbered_record(&value).filter(|_| are_numbered) {
+                    Some((key, record)) => records.push_with_key(key, record, context.memory)?,
+                    None => records.push(&value, context.memory)?,
+                }
                 records.lines.push(index + 1);
             }
             _ if records.rows == 0 => return Ok(None),
@@ -352,10 +376,15 @@ impl<'a> Shape<'a> {
             let own = keys(longest);
             return Self::Lists(of_records().filter(|list| keys(list) == own).collect());
         }
-        // A vector in a single record has as many numbers as an arm has joints.
-        let longest = lists.iter().map(|list| list.1.len()).max().unwrap_or(0);
+        // A vector in a single record has as many numbers as an arm has joints, and a matrix as few rows.
+        let lengths = || lists.iter().map(|(_, list)| list.len());
+        let longest = lengths().max().unwrap_or(0);
+        let common = most_frequent(lengths());
+        let others = lengths().filter(|length| *length != common).count();
+        let are_rows = others == 0 || (common > MATRIX_ROWS && 2 * others <= lists.len());
         let is_nested = lists.iter().any(|list| list.1.iter().any(Value::is_array));
-        match longest > MAX_WIDTH || is_nested || (lists.len() > 1 && longest > 16) {
+        let is_long = longest > MAX_WIDTH || (lists.len() > 1 && longest > MAX_PARAMETERS);
+        match is_long || (is_nested && are_rows) {
             true => Self::Columns(lists),
             false => Self::One,
         }

@@ -70,6 +70,37 @@ fn json_documents_one_after_another_are_rows_of_one_table() {
 }
 
 #[test]
+fn documents_with_one_numbered_key_are_records() {
+    let record = |row: usize| {
+        let name = format!("Timestep {row}");
+        json!({name: {"t": 0.01 * row as f64, "obs": {"joint_positions": q(row)}}})
+    };
+    let lines: String = (0..ROWS).map(|row| format!("{}\n", record(row))).collect();
+    let pretty = |row| serde_json::to_string_pretty(&record(row)).expect("JSON");
+    let documents: String = (0..ROWS).map(pretty).collect();
+    for text in [lines, documents] {
+        assert_has_joints(text.as_bytes(), "obs.joint_positions", "json");
+    }
+    // One key for all rows is the name of the arm.
+    let of_arm = |row: usize| json!({"arm_1": {"t": 0.01 * row as f64, "joint_positions": q(row)}});
+    let lines: String = (0..ROWS).map(|row| format!("{}\n", of_arm(row))).collect();
+    assert_has_joints(lines.as_bytes(), "arm_1.joint_positions", "json");
+}
+
+#[test]
+fn one_sample_with_matrices_is_one_row() {
+    let sample = json!({
+        "joint_pose": q(0),
+        "camera_matrix": [[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]],
+        "tvec": [[0.1], [0.2], [0.3]],
+        "corners_px": (0..12).map(|at| [at, at + 1]).collect::<Vec<_>>()
+    });
+    let error = read(sample.to_string().as_bytes(), ColumnSettings::default());
+    let line = error.expect_err("refused").to_string();
+    assert!(line.contains("it has only one row"), "{line}");
+}
+
+#[test]
 fn positions_with_as_many_velocities_are_joints() {
     let record = |row: usize, width: usize| {
         let (positions, velocities) = (&q(row)[..width], vec![0.1 * row as f64; width]);
@@ -179,7 +210,7 @@ fn files_that_cannot_be_read_say_how_to_export_them() {
     let broken = line(b"{\"t\": [1, 2\n");
     assert!(broken.contains("the JSON cannot be read: EOF"), "{broken}");
     let settings = line(b"robot: ur5e\nrate: 30\n");
-    assert!(settings.contains("has 1 rows"), "{settings}");
+    assert!(settings.contains("has only one row"), "{settings}");
 }
 
 #[test]
