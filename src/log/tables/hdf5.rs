@@ -41,6 +41,9 @@ const EPISODE_PREFIXES: &[&str] = &[
     "repetition",
     "attempt",
 ];
+/// Groups of episodes.
+const PERSON_PREFIXES: &[&str] =
+    &["user", "subject", "participant", "person", "operator", "demonstrator"];
 
 pub(super) fn read(
     bytes: Bytes,
@@ -62,10 +65,8 @@ pub(super) fn read(
         if wanted.is_some_and(|wanted| *wanted != label) {
             continue;
         }
-        let group = match &name {
-            Some(name) => home.group(name),
-            None => Ok(home.clone()),
-        };
+        let mut parts = name.iter().flat_map(|name| name.split('/'));
+        let group = parts.try_fold(home.clone(), |group, part| group.group(part));
         let group = match group {
             Ok(group) => group,
             Err(error) if is_one => return Err(read_error(&error)),
@@ -109,14 +110,28 @@ fn open_file(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>
     Ok((root, episodes, rate_hz))
 }
 
-/// Sorted by number.
+/// Sorted by number. Episodes in groups of people have both names: `user1/demo2`.
 fn episode_groups(group: &Group) -> Vec<String> {
+    let own = numbered_groups(group, EPISODE_PREFIXES);
+    if !own.is_empty() {
+        return own;
+    }
+    let of_person = |person: String| {
+        let episodes = group.group(&person).map(|inner| numbered_groups(&inner, EPISODE_PREFIXES));
+        let episodes = episodes.unwrap_or_default().into_iter();
+        episodes.map(move |episode| format!("{person}/{episode}"))
+    };
+    numbered_groups(group, PERSON_PREFIXES).into_iter().flat_map(of_person).collect()
+}
+
+/// Groups whose names are one of these words and a number.
+fn numbered_groups(group: &Group, prefixes: &[&str]) -> Vec<String> {
     let Ok((groups, _)) = group.member_names() else { return Vec::new() };
     let numbered = groups.into_iter().filter_map(|name| {
         let digits = name.trim_start_matches(|c: char| !c.is_ascii_digit());
         let stem = name[..name.len() - digits.len()].trim_end_matches(['_', '-']).to_lowercase();
         let number: u64 = digits.parse().ok()?;
-        (stem.is_empty() || EPISODE_PREFIXES.contains(&stem.as_str())).then_some((number, name))
+        (stem.is_empty() || prefixes.contains(&stem.as_str())).then_some((number, name))
     });
     let mut numbered: Vec<(u64, String)> = numbered.collect();
     numbered.sort();

@@ -1,4 +1,4 @@
-//! Writes small HDF5 files for tests: data sets of doubles in the root group.
+//! Writes small HDF5 files for tests: data sets of doubles, named by path.
 //!
 //! Format: HDF5 File Format Specification 3.0, superblock 0 and object headers of version 1.
 
@@ -19,18 +19,8 @@ pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
     // Written last: it contains the address of the root group and the file length.
     const SUPERBLOCK: usize = 96;
     let mut file = vec![0; SUPERBLOCK];
-    let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
-    let link = |name: &str, address: u64| {
-        let length = [1, 0, name.len() as u8];
-        message(6, &[&length, name.as_bytes(), &address.to_le_bytes()].concat())
-    };
-    for set in sets {
-        let address = add_data_set(&mut file, set);
-        links.push(link(set.name, address));
-    }
-    let next = file.len().next_multiple_of(8) as u64;
-    links.extend(loops.iter().map(|name| link(name, next)));
-    let root = add(&mut file, &header(&links));
+    let sets: Vec<(&str, &DataSet<'_>)> = sets.iter().map(|set| (set.name, set)).collect();
+    let root = add_group(&mut file, &sets, loops);
     let superblock = [
         &b"\x89HDF\r\n\x1a\n"[..],
         &[0, 0, 0, 0, 0, 8, 8, 0, 4, 0, 16, 0, 0, 0, 0, 0],
@@ -45,6 +35,32 @@ pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
     .concat();
     file[..SUPERBLOCK].copy_from_slice(&superblock);
     file
+}
+
+/// Data sets by their path in the group; returns the address.
+fn add_group(file: &mut Vec<u8>, sets: &[(&str, &DataSet<'_>)], loops: &[&str]) -> u64 {
+    let link = |name: &str, address: u64| {
+        let length = [1, 0, name.len() as u8];
+        message(6, &[&length, name.as_bytes(), &address.to_le_bytes()].concat())
+    };
+    let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
+    let group_of = |name: &str| name.split_once('/').map(|(group, _)| group.to_owned());
+    for members in
+        sets.chunk_by(|(a, _), (b, _)| group_of(a).is_some() && group_of(a) == group_of(b))
+    {
+        let (name, set) = members[0];
+        let (name, address) = match name.split_once('/') {
+            None => (name, add_data_set(file, set)),
+            Some((group, _)) => {
+                let inner = members.iter().map(|(name, set)| (&name[group.len() + 1..], *set));
+                (group, add_group(file, &inner.collect::<Vec<_>>(), &[]))
+            }
+        };
+        links.push(link(name, address));
+    }
+    let next = file.len().next_multiple_of(8) as u64;
+    links.extend(loops.iter().map(|name| link(name, next)));
+    add(file, &header(&links))
 }
 
 /// Aligns to eight bytes; returns the address.

@@ -586,3 +586,25 @@ fn truncated_and_changed_files_of_matlab_are_one_line_or_losses() {
         assert!(cut.losses.iter().any(|loss| loss.what.contains("variable")), "{:?}", cut.losses);
     }
 }
+
+#[test]
+fn episodes_in_the_groups_of_people_are_episodes() {
+    let wave = |from: usize, rows: usize| (from..from + rows).map(|at| (0.02 * at as f64).sin());
+    let time = |rows: usize| (0..rows).map(|row| 0.01 * row as f64).collect::<Vec<f64>>();
+    let names = ["user1/demo1", "user1/demo2", "user2/demo1"];
+    let paths = names.map(|name| [format!("{name}/time"), format!("{name}/joint_positions")]);
+    let mut sets = Vec::new();
+    for (at, [of_times, of_joints]) in paths.iter().enumerate() {
+        let rows = 60 + 20 * at;
+        let set =
+            |name, width, values| DataSet { name, width, values, is_chunked: false, missing: &[] };
+        sets.push(set(of_times.as_str(), 1, time(rows)));
+        sets.push(set(of_joints.as_str(), 6, wave(at, 6 * rows).collect()));
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("demos.h5");
+    fs::write(&path, hdf5(&sets, &[])).expect("a file");
+    assert_eq!(crate::episodes(&path), names);
+    let log = open(&[path], &ReadOptions::default()).expect("a log");
+    assert_eq!(joints(&log, "joint_positions").1.len(), 60 + 80 + 100);
+}
