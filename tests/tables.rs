@@ -587,3 +587,25 @@ fn columns_that_repeat_others_are_a_finding() {
     let [(_, Some(_), message)] = joint.as_slice() else { panic!("{joint:?}") };
     assert!(message.starts_with("warning") && message.contains("identical to"), "{message}");
 }
+
+#[test]
+fn positions_of_markers_and_objects_that_are_not_compared_are_listed() {
+    const HEADER: &str = "time,q1,q2,q3,q4,q5,q6,tcp_x,tcp_y,tcp_z,tcp_qx,tcp_qy,tcp_qz,tcp_qw,\
+                          marker1_x,marker1_y,marker1_z,ball_x,ball_y,ball_z";
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut text = HEADER.to_owned();
+    for mut row in CLEAN.rows() {
+        let (sin, cos) = row[0].sin_cos();
+        row.extend([0.5 + 0.1 * sin, 0.1 * cos, 0.2, 0.3 * cos, 0.2, 0.4 - 0.1 * sin]);
+        let cells: Vec<String> = row.iter().map(|number| format!("{number:.9}")).collect();
+        write!(text, "\n{}", cells.join(",")).expect("text");
+    }
+    let path = folder.path().join("run.csv");
+    fs::write(&path, text + "\n").expect("a file");
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    for name in ["marker_1", "ball"] {
+        let row = report.streams.iter().find(|row| row.topic == name).expect("a stream");
+        assert_eq!(row.role, "unassigned", "{name}: {}", row.reason);
+        assert!(row.reason.contains("not compared"), "{name}: {}", row.reason);
+    }
+}

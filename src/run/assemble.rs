@@ -137,6 +137,7 @@ impl Run {
         unwrap::add_remarks(&mut assembly.streams, &wrapped);
         append_column_reasons(&mut assembly.streams);
         let (targets, references) = (assembly.targets(), assembly.references());
+        assembly.clear_unused_targets(&targets);
         let Assembly {
             mut streams,
             timing,

@@ -337,8 +337,12 @@ impl Run {
     /// Clears the role of a stream. Its topic name may still make it a command or camera target.
     pub(crate) fn assign_role_by_name(&mut self, stream: usize, reason: String) {
         self.clear_role(stream, reason);
+        let is_target = self.targets.iter().any(|target| target.stream == stream);
         let Some(resolved) = self.streams.get_mut(stream) else { return };
-        resolved.role = role::role_outside_arm(&resolved.topic);
+        let role = role::role_outside_arm(&resolved.topic);
+        if role != Role::Target || is_target {
+            resolved.role = role;
+        }
     }
 
     /// Makes candidate `stream` a command: it leads the arm by `lead_s`. Its sources remain until

@@ -1,11 +1,12 @@
 //! Camera targets, and hands that may carry camera or target.
 
 use crate::geometry::Pose;
-use crate::stream::{Columns, PoseTrack};
+use crate::stream::{Columns, Orientations, PoseTrack};
 use crate::time::Stamp;
 
 use super::super::poses;
 use super::super::role::{Role, may_have_role};
+use super::super::streams::Stream;
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
 
@@ -14,6 +15,18 @@ impl Assembly<'_> {
     pub(super) fn targets(&self) -> Vec<TargetSource> {
         let is_target = |&index: &usize| may_have_role(&self.streams[index], Role::Target);
         (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
+    }
+
+    /// Clears the role of detections outside of `targets`, so that the report lists them.
+    pub(super) fn clear_unused_targets(&mut self, targets: &[TargetSource]) {
+        let streams = self.streams.iter_mut().enumerate();
+        let is_unused = |(index, stream): &(usize, &mut Stream)| {
+            stream.role == Role::Target && targets.iter().all(|target| target.stream != *index)
+        };
+        for (_, stream) in streams.filter(is_unused) {
+            stream.role = Role::Unassigned;
+            stream.reason += "; not compared: that needs orientations that change, and an arm";
+        }
     }
 
     fn target(&self, index: usize) -> Option<TargetSource> {
@@ -33,7 +46,9 @@ impl Assembly<'_> {
             None => self.hands_without_arm(index),
         };
         // A detector's poses change; a frame published repeatedly does not.
-        let track = self.plain_track(index).filter(|track| track.changes())?;
+        let has_rotations =
+            |track: &PoseTrack| matches!(track.orientation, Orientations::Rotations(_));
+        let track = self.plain_track(index).filter(has_rotations).filter(PoseTrack::changes)?;
         Some(TargetSource {
             stream: index,
             track,
