@@ -12,17 +12,20 @@ use super::names::{NameMatch, match_joint_names};
 use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
-pub(super) const VENDORS: [(&str, &str); 16] = [
+pub(super) const VENDORS: [(&str, &str); 19] = [
     ("abb.toml", include_str!("abb.toml")),
+    ("agilex.toml", include_str!("agilex.toml")),
     ("annin.toml", include_str!("annin.toml")),
     ("aubo.toml", include_str!("aubo.toml")),
     ("doosan.toml", include_str!("doosan.toml")),
     ("fanuc.toml", include_str!("fanuc.toml")),
     ("flexiv.toml", include_str!("flexiv.toml")),
     ("franka.toml", include_str!("franka.toml")),
+    ("interbotix.toml", include_str!("interbotix.toml")),
     ("jaka.toml", include_str!("jaka.toml")),
     ("kinova.toml", include_str!("kinova.toml")),
     ("kuka.toml", include_str!("kuka.toml")),
+    ("mecademic.toml", include_str!("mecademic.toml")),
     ("openarm.toml", include_str!("openarm.toml")),
     ("so_arm.toml", include_str!("so_arm.toml")),
     ("techman.toml", include_str!("techman.toml")),
