@@ -1,5 +1,7 @@
 //! Finds each arm's joint path in a robot model, and its tip.
 
+use std::collections::BTreeSet;
+
 use crate::robot::{Joint, JointKind, LinkId, Robot};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -160,6 +162,23 @@ fn fixed_links_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
         next += 1;
     }
     found
+}
+
+/// Logged joints above `link` if none of them belongs to an arm, as a positioner moves its table.
+pub(super) fn joints_of_positioner(
+    robot: &Robot,
+    link: LinkId,
+    arms: &[ArmPath],
+    logged: impl Fn(&str) -> bool,
+) -> Vec<String> {
+    let above = moving_joints_above(robot, link);
+    let joints: BTreeSet<&String> = above.map(|joint| &driving_joint(robot, joint).name).collect();
+    let is_own =
+        |joint: &&String| logged(joint) && !arms.iter().any(|arm| arm.joints.contains(joint));
+    match joints.iter().all(|joint| is_own(joint)) {
+        true => joints.into_iter().cloned().collect(),
+        false => Vec::new(),
+    }
 }
 
 pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<Item = &Joint> {

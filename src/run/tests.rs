@@ -86,6 +86,40 @@ fn a_frame_tied_to_a_link_by_static_transforms_is_known() {
 }
 
 #[test]
+fn the_joint_of_a_positioner_moves_the_frame_of_the_poses() {
+    let table = r#"  <link name="table"/>
+  <joint name="table_axis" type="revolute">
+    <parent link="base_link"/>
+    <child link="table"/>
+    <axis xyz="0 0 1"/>
+    <limit effort="0" lower="-3" upper="3" velocity="1"/>
+  </joint>
+</robot>"#;
+    let angle = |nanos: i64| 0.5 * (1e-9 * (nanos - START) as f64).sin();
+    let mut recording = Recording::new();
+    let Some((_, Columns::Joints(joints))) = recording.topics.first_mut() else {
+        panic!("no joint states")
+    };
+    let mut axis = JointColumn { name: "table_axis".to_owned(), ..Default::default() };
+    for nanos in stamps() {
+        axis.position.push(angle(nanos));
+        axis.velocity.push(f64::NAN);
+    }
+    joints.joints.push(axis);
+    let fk = recording.fk("base_link", "tool0");
+    let base_from_table = |nanos| pose([0.0; 3], rotation_from_rpy([0.0, 0.0, angle(nanos)]));
+    let in_table = poses("table", "", |nanos| base_from_table(nanos).inverse() * fk(nanos));
+    recording.add_pose("/tcp_pose", in_table);
+    let urdf = crate::synth::urdf_text(&recording.robot).replace("</robot>", table);
+    let robot = RobotSource { prefix: None, model: "positioner.urdf".to_owned(), text: Some(urdf) };
+    let options = RunOptions { robots: vec![robot], ..Default::default() };
+    let run = Run::assemble(recording.log(), &options).unwrap();
+    let source = &run.arms[0].poses[0];
+    assert!(source.reference_known);
+    assert!(misfit_m(&run.arms[0], source) < 1e-9);
+}
+
+#[test]
 fn an_unconnected_frame_is_unknown() {
     let mut recording = Recording::new();
     let fk = recording.fk("base", "tool0");

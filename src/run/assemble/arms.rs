@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
-use crate::robot::nearest;
+use crate::robot::{LinkId, nearest};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
 use super::super::arm::{Arm, ChainEnds};
@@ -12,12 +12,12 @@ use super::super::declaration::JointName;
 use super::super::error::RunError;
 use super::super::given_calibrations::{self, GivenCalibration};
 use super::super::joints::JointTopic;
-use super::super::model::ModelClues;
+use super::super::model::{LogModel, ModelClues};
 use super::super::models::{self, GivenRobot};
 use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::not_audited::{NotAudited, NotAuditedReason};
 use super::super::role::{NON_ARM_JOINT_WORDS, Role, find_word, split_words};
-use super::super::skeleton;
+use super::super::skeleton::{self, ArmPath};
 use super::super::streams::Stream;
 use super::super::tf_tree::TfTree;
 use super::super::timing::Timing;
@@ -147,12 +147,15 @@ impl Assembly<'_> {
         let ends =
             ChainEnds { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let (mut arms, mut refusal) = (Vec::new(), None);
+        let is_logged = |name: &str| joints.iter().any(|joint| joint == name);
         for model in &models {
-            for path in skeleton::find_arm_paths(&model.robot, |name| {
-                joints.iter().any(|joint| joint == name)
-            }) {
-                match Arm::new(model, &path, ends, states) {
-                    Ok(arm) if arm.has_joint_of(&path) => {
+            let paths = skeleton::find_arm_paths(&model.robot, is_logged);
+            for path in &paths {
+                let on_positioner = self.with_positioner(model, path, &paths, group);
+                let on_positioner =
+                    on_positioner.and_then(|path| Arm::new(model, &path, ends, states).ok());
+                match on_positioner.map_or_else(|| Arm::new(model, path, ends, states), Ok) {
+                    Ok(arm) if arm.has_joint_of(path) => {
                         arms.push(Arm { namespace: namespace.clone(), ..arm });
                     }
                     Ok(_) => {}
@@ -169,6 +172,35 @@ impl Assembly<'_> {
         }
         add_odometry(tree, &self.streams, &self.timing, &arms);
         Ok(arms)
+    }
+
+    /// `path` with the joints that move the frames of pose streams, if any, and if its topic has them.
+    fn with_positioner(
+        &self,
+        model: &LogModel,
+        path: &ArmPath,
+        arms: &[ArmPath],
+        JointStateGroup { joints, namespace }: &JointStateGroup<'_>,
+    ) -> Option<ArmPath> {
+        let own = path.joints.first()?;
+        let topic = joints.topics.iter().find(|topic| topic.has_joint(own))?;
+        let is_of_group = |stream: &&Stream| {
+            matches!(stream.columns, Some(Columns::Poses(_)))
+                && namespace.match_names([stream.topic.as_str()]) != NamespaceMatch::Foreign
+        };
+        let frames = self.streams.iter().filter(is_of_group).map(|stream| &stream.frame_id);
+        let links: BTreeSet<LinkId> =
+            frames.filter_map(|frame| model.frames.link_of(&model.robot, frame)).collect();
+        let mut extended = path.clone();
+        for link in links {
+            let joints = skeleton::joints_of_positioner(&model.robot, link, arms, |name| {
+                topic.has_joint(name)
+            });
+            let new = joints.into_iter().filter(|joint| !extended.joints.contains(joint));
+            let new: Vec<String> = new.collect();
+            extended.joints.extend(new);
+        }
+        (extended.joints.len() > path.joints.len()).then_some(extended)
     }
 
     /// Topics without joint names whose positions are those of an arm's topic.
