@@ -175,7 +175,7 @@ pub(super) fn joints_of_positioner(
     let joints: BTreeSet<&String> = above.map(|joint| &driving_joint(robot, joint).name).collect();
     let is_own =
         |joint: &&String| logged(joint) && !arms.iter().any(|arm| arm.joints.contains(joint));
-    match joints.iter().all(|joint| is_own(joint)) {
+    match joints.iter().all(is_own) {
         true => joints.into_iter().cloned().collect(),
         false => Vec::new(),
     }
