@@ -240,7 +240,7 @@ mod tests {
                 compared += 1;
             }
         }
-        assert_eq!(compared, 34);
+        assert_eq!(compared, 37);
     }
 
     /// The factor allows for maxima at other positions.
