@@ -450,10 +450,8 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     let is_counter = |column: &Column| {
         names::split_words(&column.name).iter().any(|word| COUNTER_WORDS.contains(&word.as_str()))
     };
-    // A joint may move as evenly as a clock.
-    let is_measured = |column: &Column| column.width == 1 && names::is_joints_or_pose(&column.name);
     let columns = table.columns.iter().enumerate();
-    for (at, column) in columns.filter(|(_, own)| !is_counter(own) && !is_measured(own)) {
+    for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();

@@ -321,20 +321,6 @@ fn a_letter_before_a_number_is_no_side() {
 }
 
 #[test]
-fn a_joint_that_moves_evenly_is_no_clock() {
-    let mut text = "q1,q2,q3".to_owned();
-    for row in 0..50 {
-        let (even, wave) = (0.01 * row as f64, wave(row));
-        text += &format!("\n{wave},{even},{}", wave * wave);
-    }
-    assert!(
-        refusal(text.as_bytes()).contains("no column holds times"),
-        "{}",
-        refusal(text.as_bytes())
-    );
-}
-
-#[test]
 fn stamps_of_the_robot_precede_those_of_images() {
     let mut text = "image_timestamp,robot_timestamp,q1,q2,q3,q4,q5,q6".to_owned();
     for row in 0..100 {
