@@ -83,9 +83,7 @@ fn judge_stream(
 /// Whether the motion determines no convention of undeclared rotation numbers.
 fn rests_on_convention(stream: &PoseEvidence) -> bool {
     let encoding = stream.diagnosis.encoding.as_ref();
-    stream.is_undeclared
-        && stream.has_bare_numbers
-        && encoding.is_ok_and(|encoding| !encoding.is_determined)
+    stream.is_undeclared && encoding.is_ok_and(|encoding| !encoding.is_determined)
 }
 
 fn judge_constant(

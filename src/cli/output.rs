@@ -63,7 +63,7 @@ pub fn columns() -> Option<usize> {
 }
 
 /// Writes to the file at `path`, creating its parents, or to stdout, with bidirectional control characters
-/// escaped. A closed pipe is no error.
+/// escaped. A closed pipe is not an error.
 pub fn emit(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,

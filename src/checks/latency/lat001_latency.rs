@@ -27,7 +27,7 @@ rule! {
     /// interval that allows for correlated noise. For a camera target: the lag that best closes the
     /// hand-eye chain, fitted together with the camera's pose. For one of several topics of an arm's joint
     /// states: the lag at which its joints match the poses together with the others; other rules use the
-    /// corrected stamps. The same holds for transforms of a moving frame, such as odometry, in which poses are.
+    /// corrected stamps. Late transforms of a moving frame, such as odometry, are also corrected for other rules.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
     /// of the two is off, `indistinguishable` lists the other one.
@@ -191,7 +191,7 @@ fn judge_joint_topic(
     late.judged(outcome).within(late.span).estimated(estimate)
 }
 
-/// Latency of the transforms of a moving frame, such as odometry, in which poses are.
+/// Latency of the transforms of a moving reference frame, such as odometry.
 fn judge_transforms(
     case: &Case,
     arm: &ArmEvidence,

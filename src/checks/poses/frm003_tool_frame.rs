@@ -206,7 +206,7 @@ mod tests {
             let mut run = clean_run();
             let pose = &mut run.robots[0].poses[0];
             pose.is_tip_declared = true;
-            (pose.has_bare_numbers, pose.is_undeclared) = (true, true);
+            pose.is_undeclared = true;
             pose.diagnosis.tool = Ok(FrameEstimate {
                 rotation_rad: precise(2.0),
                 p_value: 0.0,

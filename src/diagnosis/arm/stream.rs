@@ -220,7 +220,7 @@ impl StreamFit<'_> {
         self.fitted.candidates.all().contains(&cause)
     }
 
-    /// Amount of a cause beside the chosen ones.
+    /// Amount of a cause, fitted together with the chosen ones.
     fn estimate(&self, cause: Cause) -> EstimateResult<Measured> {
         let ArmFit { model, deviations, .. } = self.fitted;
         let is_nominal = deviations.is_some() && !model.causes.contains(&cause);
@@ -235,7 +235,7 @@ impl StreamFit<'_> {
         }
     }
 
-    /// Error of a frame beside the chosen causes.
+    /// Error of a frame, fitted together with the chosen causes.
     fn frame(&self, cause: Cause) -> EstimateResult<FrameEstimate> {
         let ArmFit { model, candidates, deviations, .. } = self.fitted;
         if deviations.is_some() && !self.is_candidate(cause) {
@@ -277,12 +277,12 @@ impl StreamFit<'_> {
         Ok(widened(skew, 2.0 * self.stream.stamp_error_s / span_s))
     }
 
-    /// Latency and skew beside link deviations.
+    /// Latency and skew, fitted together with link deviations.
     fn timing(&self) -> Option<Timing> {
         self.fitted.timings.get(self.index).copied().flatten()
     }
 
-    /// Latency over the run. Whether it is unsteady is decided beside link deviations.
+    /// Latency over the run. Link deviations are fitted before it counts as unsteady.
     fn latency_profile(&self, aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
         let Self { recorded, stream, decoded, index, .. } = *self;
         let model = &self.fitted.model;

@@ -66,27 +66,25 @@ fn lag_with_stamps(
     let frame = stream.moving_frame?;
     let logged = frame.in_frame(stream.track);
     let rows = sample_rows(logged.t_s.len());
-    // Positions of the poses in the tip, about a constant tool offset.
-    let offsets = |lag_s: f64, latency_s: f64| -> Option<Vec<Vec3>> {
+    // Positions of the poses in the tip, per row.
+    let tool_offsets = |lag_s: f64, latency_s: f64| -> Vec<Option<Vec3>> {
         let mut fk = FkSequence::new(joints, stream);
-        let offsets = rows.iter().filter_map(|&row| {
+        let offset = |&row: &usize| {
             let t_s = logged.t_s[row];
             let at = frame.pose_at(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
             let arm = fk.at(t_s - latency_s)?;
             Some(arm.rotation.inverse() * (at.coords - arm.translation.vector))
-        });
-        let offsets: Vec<Vec3> = offsets.collect();
-        if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
-            return None;
-        }
-        let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
-        Some(offsets.into_iter().map(|offset| offset - tool).collect())
+        };
+        rows.iter().map(offset).collect()
     };
     let cost = |lag_s: f64, latency_s: f64| -> f64 {
-        offsets(lag_s, latency_s).map_or(f64::INFINITY, |offsets| {
-            let squares = offsets.iter().map(Vec3::norm_squared);
-            (squares.sum::<f64>() / offsets.len() as f64).sqrt()
-        })
+        let mut offsets: Vec<Vec3> = tool_offsets(lag_s, latency_s).into_iter().flatten().collect();
+        if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
+            return f64::INFINITY;
+        }
+        subtract_mean(&mut offsets);
+        let squares = offsets.iter().map(Vec3::norm_squared);
+        (squares.sum::<f64>() / offsets.len() as f64).sqrt()
     };
     let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
@@ -106,38 +104,57 @@ fn lag_with_stamps(
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
         || min_cost > MAX_RESIDUAL_RATIO * min_cost_together;
-    Some(match is_on_time {
-        true => {
+    let late = match is_on_time {
+        true => None,
+        false => difference_of_lags([lag_s, latency_s], &tool_offsets),
+    };
+    Some(match late {
+        None => {
             let lag = MovingBaseLag { latency_s: together, transform_latency_s: None };
             (lag, min_cost_together)
         }
-        false => {
-            let late = difference_of_lags([lag_s, latency_s], &offsets)?;
-            (MovingBaseLag { latency_s, transform_latency_s: Some(late) }, min_cost)
-        }
+        late => (MovingBaseLag { latency_s, transform_latency_s: late }, min_cost),
     })
 }
 
-/// Latency minus lag, with its standard error from the derivatives of `offsets` by both.
+fn subtract_mean(vectors: &mut [Vec3]) {
+    let mean = vectors.iter().sum::<Vec3>() / vectors.len().max(1) as f64;
+    vectors.iter_mut().for_each(|vector| *vector -= mean);
+}
+
+/// Latency minus lag, with its standard error from the derivatives of `tool_offsets` by both. `None` if the motion does
+/// not distinguish them.
 fn difference_of_lags(
     [lag_s, latency_s]: [f64; 2],
-    offsets: &impl Fn(f64, f64) -> Option<Vec<Vec3>>,
+    tool_offsets: &impl Fn(f64, f64) -> Vec<Option<Vec3>>,
 ) -> Option<Measured> {
     /// For central differences.
     const STEP_S: f64 = 1e-3;
     const NOISE_FLOOR_M: f64 = 1e-6;
-    let derivative = |by: [f64; 2]| -> Option<Vec<Vec3>> {
-        let [before, after] =
-            [-1.0, 1.0].map(|sign| offsets(lag_s + sign * by[0], latency_s + sign * by[1]));
-        let pairs = after?.into_iter().zip(before?);
-        Some(pairs.map(|(after, before)| (after - before) / (2.0 * STEP_S)).collect())
-    };
-    let (by_lag, by_latency) = (derivative([STEP_S, 0.0])?, derivative([0.0, STEP_S])?);
+    const SHIFTS: [[f64; 2]; 5] =
+        [[0.0, 0.0], [-STEP_S, 0.0], [STEP_S, 0.0], [0.0, -STEP_S], [0.0, STEP_S]];
+    let [at, lag_before, lag_after, before, after] =
+        SHIFTS.map(|[lag, latency]| tool_offsets(lag_s + lag, latency_s + latency));
+    let (mut residual, mut by_lag, mut by_latency) = (Vec::new(), Vec::new(), Vec::new());
+    for row in 0..at.len() {
+        let of_row = [&at, &lag_before, &lag_after, &before, &after].map(|offsets| offsets[row]);
+        let [Some(at), Some(lag_before), Some(lag_after), Some(before), Some(after)] = of_row
+        else {
+            continue;
+        };
+        residual.push(at);
+        by_lag.push((lag_after - lag_before) / (2.0 * STEP_S));
+        by_latency.push((after - before) / (2.0 * STEP_S));
+    }
+    if residual.len() < MIN_SAMPLES {
+        return None;
+    }
+    [&mut residual, &mut by_lag, &mut by_latency].into_iter().for_each(|all| subtract_mean(all));
     let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
     let across = dot(&by_lag, &by_latency);
     let information =
         Matrix2::new(dot(&by_lag, &by_lag), across, across, dot(&by_latency, &by_latency));
-    let residual: Vec<[f64; 3]> = offsets(lag_s, latency_s)?.into_iter().map(Into::into).collect();
+    let residual: Vec<[f64; 3]> = residual.into_iter().map(Into::into).collect();
     let noise = Noise::estimate(&residual, &vec![1.0; residual.len()], NOISE_FLOOR_M);
     let along = Vector2::new(-1.0, 1.0);
     let variance = along.dot(&(information.try_inverse()? * along));
