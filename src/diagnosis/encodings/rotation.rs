@@ -243,7 +243,9 @@ pub(crate) fn estimate_imu_encoding(
     if samples.fk.len() < need {
         return Err(NotObservable::TooFewSamples { have: samples.fk.len(), need });
     }
-    let fits = all_fits(samples);
+    let agrees =
+        |fit: &EncodingFit| !contradicts_gyro(&fit.tool) && !tilts_gravity(fit, samples, forces);
+    let fits = all_fits(samples, &agrees);
     let Some(min_residual) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
         return Err(NotObservable::NoOrientation);
     };
@@ -416,8 +418,9 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 }
 
 /// Fits of the candidates that may be accepted, of at least [`MIN_FITTED`], and as logged. If the stream fits
-/// without a fault, other frames cannot win and are not tried. Numbers in any convention are no fault.
-fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
+/// without a fault and `agrees` with other sensors, other frames cannot win and are not tried. Numbers in any convention
+/// are no fault.
+fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
     let faultless = match samples.logged {
         LoggedRotations::Rotations(_) => vec![PoseEncoding::AsLogged],
@@ -426,7 +429,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let buffers = &mut Default::default();
     let fits_without_fault = |encoding: PoseEncoding| {
         let fits = fits_of_encoding(samples, &frames[..1], encoding, buffers);
-        fits.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD)
+        fits.iter().all(|fit| fit.residual_rad <= MAX_EXPLAINED_RAD && agrees(fit))
     };
     if faultless.into_iter().any(fits_without_fault) {
         frames = &frames[..1];
