@@ -20,7 +20,7 @@ use crate::report::{
     workspace_coverage,
 };
 use crate::run::{
-    Arm, Excerpts, Run, RunOptions, Segment, align_table_clocks, identify_columns, segments,
+    Arm, Cut, Excerpts, Run, RunOptions, Segment, align_table_clocks, identify_columns, segments,
 };
 
 pub use calibrate::{
@@ -209,6 +209,7 @@ struct AuditedSegment {
     evidence: RunEvidence,
     evaluation: Evaluation,
     duration_s: f64,
+    cut: Option<Cut>,
 }
 
 /// `main` is the longest segment.
@@ -306,7 +307,13 @@ fn note(parts: &[AuditedSegment]) -> String {
     let lengths: Vec<String> =
         parts.iter().map(|segment| format!("{:.1} s", segment.duration_s)).collect();
     let (count, lengths) = (lengths.len(), lengths.join(", "));
-    format!("all stamps step back: the clock restarted. Audited in {count} segments: {lengths}")
+    let why = match parts.first().and_then(|segment| segment.cut) {
+        Some(Cut::Seam) => {
+            "the joints jump within one row: another recording follows, or rows are missing"
+        }
+        _ => "all stamps step back: the clock restarted",
+    };
+    format!("{why}. Audited in {count} segments: {lengths}")
 }
 
 impl AuditedSegment {
@@ -316,7 +323,7 @@ impl AuditedSegment {
         options: &Options,
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
-        let Segment { log, duration_s: seconds } = segment;
+        let Segment { log, duration_s, cut } = segment;
         let run = &options.run;
         options.read.set_activity("sorting");
         let mut run = Run::complete(log, run, |run| match given {
@@ -327,7 +334,7 @@ impl AuditedSegment {
         let evidence = RunEvidence::collect(&mut run, &read.losses, &options.run);
         options.read.set_activity("judging");
         let evaluation = evaluate(&evidence, &options.policy.rules);
-        Ok(Self { run, evidence, evaluation, duration_s: seconds })
+        Ok(Self { run, evidence, evaluation, duration_s, cut })
     }
 }
 

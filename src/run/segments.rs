@@ -1,8 +1,8 @@
-//! Splits a run at clock restarts, such as a simulation reset or a looped bag.
+//! Splits a run at clock restarts, such as a simulation reset or a looped bag, and at seams of a table.
 //!
-//! The stamps of all streams then decrease by more than a second. If only one stream's do, the rules report
-//! it.
+//! At a restart, the stamps of all streams decrease by more than a second. If only one stream's do, the rules report it.
 
+use super::seams::seams;
 use crate::log::{Log, Topic};
 use crate::stats::median;
 use crate::stream::{Columns, Times};
@@ -13,16 +13,31 @@ const MIN_RESTART_NS: i64 = NANOS_PER_SECOND;
 /// Maximum receive time between decreases of one restart, ns.
 const MAX_RESTART_SPREAD_NS: i64 = 2 * NANOS_PER_SECOND;
 
-/// Part of a log between two restarts.
+/// Part of a log between two restarts or seams.
 #[derive(Debug)]
 pub struct Segment {
     /// Its data. Data without time, such as static transforms, is in every segment.
     pub log: Log,
     /// Time from the first to the last stamp, s.
     pub duration_s: f64,
+    /// What separates it from the others. `None` if there are no others.
+    pub cut: Option<Cut>,
+}
+
+/// What separates segments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cut {
+    /// All clocks restart.
+    Restart,
+    /// A table continues elsewhere ([`super::seams`]).
+    Seam,
 }
 
 impl Segment {
+    fn whole(log: Log) -> Self {
+        Self { log, duration_s: 0.0, cut: None }
+    }
+
     /// Messages of topics that are not valid at all times.
     pub fn messages(&self) -> u64 {
         self.log.topics.iter().filter(|topic| has_times(topic)).map(|topic| topic.messages).sum()
@@ -32,11 +47,12 @@ impl Segment {
 /// Minimum median duration, s; shorter segments are jumping stamps.
 const MIN_MEDIAN_DURATION_S: f64 = 1.0;
 
-/// Splits a log at its restarts, in receive order.
+/// Splits a log at its restarts, or else its seams, in receive order.
 pub fn segments(log: Log) -> Vec<Segment> {
     let moving = || log.topics.iter().filter(|topic| has_times(topic));
-    if !moving().flat_map(times_of).any(may_restart) {
-        return vec![Segment { duration_s: 0.0, log }];
+    let seams = seams(&log);
+    if seams.is_empty() && !moving().flat_map(times_of).any(may_restart) {
+        return vec![Segment::whole(log)];
     }
     let pieces: Vec<OrderedPart> = moving().flat_map(OrderedPart::all_of_topic).collect();
     let reference =
@@ -48,14 +64,22 @@ pub fn segments(log: Log) -> Vec<Segment> {
         }
         None => Vec::new(),
     };
+    let at_seam = |[last_before_ns, first_after_ns]: [i64; 2]| ClockRestart {
+        last_before_ns,
+        first_after_ns,
+    };
+    let (cut, restarts) = match restarts.is_empty() {
+        true => (Cut::Seam, seams.into_iter().map(at_seam).collect()),
+        false => (Cut::Restart, restarts),
+    };
     let Some(reference) = reference.filter(|_| !restarts.is_empty()) else {
-        return vec![Segment { duration_s: 0.0, log }];
+        return vec![Segment::whole(log)];
     };
     let cuts = reference.cuts(&restarts);
     let spans: Vec<f64> =
         (0..=restarts.len()).map(|segment| reference.seconds(&cuts, segment)).collect();
     if median(&mut spans.clone()).is_none_or(|usual_s| usual_s < MIN_MEDIAN_DURATION_S) {
-        return vec![Segment { duration_s: 0.0, log }];
+        return vec![Segment::whole(log)];
     }
     spans
         .into_iter()
@@ -63,7 +87,7 @@ pub fn segments(log: Log) -> Vec<Segment> {
         .map(|(index, seconds)| {
             let topics = log.topics.iter().map(|topic| segment_of_topic(topic, &restarts, index));
             let log = Log { topics: topics.collect(), ..without_topics(&log) };
-            Segment { log, duration_s: seconds }
+            Segment { log, duration_s: seconds, cut: Some(cut) }
         })
         .collect()
 }
