@@ -19,7 +19,7 @@ use crate::evidence::{
 use crate::finding::Finding;
 use crate::geometry::Pose;
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
-use crate::stream::JointTrack;
+use crate::stream::{JointTrack, Orientations};
 use crate::time::Stamp;
 
 /// Maximum gaps per stream.
@@ -127,8 +127,12 @@ fn pose_figure(
         };
         before.m = pairs.map(distance_m).collect();
     }
-    let after = aligned.after();
+    let mut after = aligned.after();
     let stream = clock.run.pose_stream(source);
+    if let Orientations::Unset(_) = stream.track.orientation {
+        before.rad.clear();
+        after.rad.clear();
+    }
     let valley = match plots {
         Plots::All => residual_by_latency(joints, &stream, found),
         Plots::OverTime => Vec::new(),

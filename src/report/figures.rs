@@ -113,11 +113,11 @@ pub struct PoseFigure {
     pub t_s: Vec<f64>,
     /// Error against recorded FK, m.
     pub before_m: Vec<f64>,
-    /// Error against recorded FK, rad.
+    /// Error against recorded FK, rad. Empty without orientations.
     pub before_rad: Vec<f64>,
     /// Error after all corrections, m.
     pub after_m: Vec<f64>,
-    /// Error after all corrections, rad.
+    /// Error after all corrections, rad. Empty without orientations.
     pub after_rad: Vec<f64>,
     /// FK from the origin of the reference frame, m.
     pub reach_m: Vec<f64>,
