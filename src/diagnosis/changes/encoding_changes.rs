@@ -68,7 +68,10 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
         let known = streams.iter().filter_map(|stream| follows_as_logged(&joints, stream));
         known.reduce(|all, one| all && one)
     };
-    let whole = all_follow(&(f64::NEG_INFINITY, f64::INFINITY));
+    // Then each segment follows, even if its own motion does not determine the frames.
+    if all_follow(&(f64::NEG_INFINITY, f64::INFINITY)) == Some(true) {
+        return None;
+    }
     let as_logged = LazyCell::new(|| arm.diagnose_as_logged());
     let is_explained = |after: &ArmDiagnosis| {
         constant_frames_suffice(after) || !after.streams.iter().any(has_slow_residual)
@@ -77,8 +80,7 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
     attempts.dedup_by_key(|jumps| run.split_at(jumps));
     attempts.into_iter().find_map(|jumps| {
         let parts: Vec<Option<bool>> = run.split_at(&jumps).iter().map(all_follow).collect();
-        let differs = whole == Some(false) || parts.contains(&Some(false));
-        if parts.len() < 2 || !parts.contains(&Some(true)) || !differs {
+        if parts.len() < 2 || !parts.contains(&Some(true)) {
             return None;
         }
         diagnose_with_jumps(&run, &jumps, &as_logged, &diagnose).filter(is_explained)
