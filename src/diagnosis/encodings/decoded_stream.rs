@@ -217,9 +217,10 @@ fn share_stamps(joints_s: &[f64], stream_s: &[f64]) -> bool {
     stream_s.iter().filter(is_common).count() as f64 > MIN_SHARE * stream_s.len() as f64
 }
 
-/// Whether orientations are set: they change, or FK's do not.
+/// Whether orientations are set: they change, if only by noise, or FK's do not.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
-    const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-3;
+    /// Rounding.
+    const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-6;
     let is_constant = match logged {
         Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
