@@ -303,7 +303,7 @@ fn shape(
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
     let (square, rates) = (mean_square(&by), mean_square(moved));
-    if square <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
+    if square <= by_noise {
         return VelocityShape::Zero;
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
@@ -325,6 +325,9 @@ fn shape(
     let (gain, residual) = gain_of(curve);
     if residual <= allowed {
         return VelocityShape::Scaled(gain);
+    }
+    if square <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
+        return VelocityShape::Zero;
     }
     let other_joints = joints.iter().enumerate().filter(|(other, _)| *other != index);
     let other_joints =
