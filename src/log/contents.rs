@@ -250,8 +250,10 @@ pub struct TableCell {
 /// Names of rotation components that indicate the encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RotationLabels {
-    /// qx, qy, qz, qw, in any order.
+    /// qx, qy, qz, qw, in any order, or `xyzw`.
     Quaternion,
+    /// `wxyz`.
+    ScalarFirst,
     /// roll, pitch, yaw.
     RollPitchYaw,
     /// A, B, C, as KUKA.

@@ -444,6 +444,7 @@ pub fn named_encodings(labels: RotationLabels, arm: &str) -> Vec<RotationEncodin
     // Vendors in `vendors.toml`.
     let vendors: &[&str] = match labels {
         RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
+        RotationLabels::ScalarFirst => return vec![RotationEncoding::Wxyz],
         RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],
         RotationLabels::RollPitchYaw => &["xarm"],
         RotationLabels::Wpr => &["fanuc"],

@@ -150,6 +150,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
 fn label_text(labels: RotationLabels) -> &'static str {
     match labels {
         RotationLabels::Quaternion => "x, y, z, w of a quaternion",
+        RotationLabels::ScalarFirst => "w, x, y, z of a quaternion",
         RotationLabels::RollPitchYaw => "roll, pitch, yaw",
         RotationLabels::Abc => "A, B, C",
         RotationLabels::Wpr => "W, P, R",

@@ -450,14 +450,17 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     let is_counter = |column: &Column| {
         names::split_words(&column.name).iter().any(|word| COUNTER_WORDS.contains(&word.as_str()))
     };
+    let distinct = distinct_rows(table);
+    let is_even = |values: &[f64]| {
+        increases_evenly(&distinct.iter().map(|&row| values[row]).collect::<Vec<f64>>())
+    };
     let columns = table.columns.iter().enumerate();
     for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
             let own = Column { kind, width: 1, values, ..Column::default() };
-            let Some(clock) = from_column(at, &own, None).filter(|_| increases_evenly(&own.values))
-            else {
+            let Some(clock) = from_column(at, &own, None).filter(|_| is_even(&own.values)) else {
                 continue;
             };
             let name = match column.width {
@@ -494,6 +497,20 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
             )))
         }
     }
+}
+
+/// Rows that are not copies of the row before: a recorder that is faster than its source repeats rows with their stamps.
+fn distinct_rows(table: &Table) -> Vec<usize> {
+    let is_copy = |column: &Column, row: usize| {
+        let numbers = |row: usize| {
+            let numbers = column.values.iter().skip(row * column.width).take(column.width);
+            numbers.map(|number| number.to_bits())
+        };
+        numbers(row).eq(numbers(row - 1))
+    };
+    let differs =
+        |row: &usize| *row == 0 || !table.columns.iter().all(|column| is_copy(column, *row));
+    (0..table.rows).filter(differs).collect()
 }
 
 /// The first or the last number of the rows of one array, if only one of the two increases like times.

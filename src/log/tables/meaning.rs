@@ -734,7 +734,11 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
         width if names::is_joint_velocities(&words) && JOINT_COUNTS.contains(&width) => {
             (ColumnMeaning::Velocities(unit_by_name(&words)), by_name("joint velocities"))
         }
-        _ if names::is_other_quantity(&words) || names::is_gripper(&words) => {
+        width
+            if names::is_other_quantity(&words)
+                || (names::is_gripper(&words)
+                    && !names::is_pose_of_gripper(&column.name, width)) =>
+        {
             (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }
         6 if names::split_words(&column.name).ends_with(&["actual".into(), "q".into()])
@@ -751,7 +755,11 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
             (joints_of(names, true), by_name("joint positions"))
         }
-        6 | 7 | 12 | 16 if names::is_pose(&words) => (ColumnMeaning::Pose, by_name("a pose")),
+        width @ (6 | 7 | 12 | 16)
+            if names::is_pose(&words) || names::is_pose_of_gripper(&column.name, width) =>
+        {
+            (ColumnMeaning::Pose, by_name("a pose"))
+        }
         16 if are_homogeneous(column) => {
             (ColumnMeaning::Pose, "a pose, because each row is a homogeneous matrix".to_owned())
         }
@@ -809,14 +817,14 @@ fn are_homogeneous(column: &Column) -> bool {
         && rotation_rows(column, 16, ELEMENTS)
 }
 
-/// Whether the column is named `positions` or similar, and another one has a velocity of each number. A pose of as many
-/// numbers has a word for the tool.
+/// Whether another column is named for the velocities of these positions.
 fn has_velocities(table: &Table, column: &Column) -> bool {
+    let words = names::split_words(&column.name);
     let is_velocity = |other: &Column| {
-        other.width == column.width && names::is_bare_velocity(&names::split_words(&other.name))
+        let others = names::split_words(&other.name);
+        other.width == column.width && names::are_position_and_velocity(&words, &others)
     };
-    names::is_bare_position(&names::split_words(&column.name))
-        && table.columns.iter().any(is_velocity)
+    table.columns.iter().any(is_velocity)
 }
 
 /// Names next to the positions of a joint state, as `ros2 topic echo` writes them.
@@ -1051,7 +1059,7 @@ impl ColumnGroup {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
                     joint.velocity.update(|v| v * factor);
                 }
-                // Velocities have the unit of the positions by default.
+                // Velocities have the unit of the positions, unless their names or values say otherwise.
                 let in_words = |known: &[&str]| {
                     let mut words =
                         velocities.iter().flat_map(|&cell| names::split_words(name(table, cell)));
@@ -1059,7 +1067,8 @@ impl ColumnGroup {
                 };
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
                 let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
-                if in_words(names::DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
+                let are_radians = || in_words(RADIAN_WORDS) || are_rates_in_radians(&joints);
+                if in_words(names::DEGREE_WORDS) || (are_degrees && !are_radians()) {
                     joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
                 }
                 if are_degrees {
@@ -1127,6 +1136,25 @@ impl ColumnGroup {
             damaged,
         }
     }
+}
+
+/// Whether velocities are in rad/s beside positions in degrees: 57 times smaller than the rates of these.
+fn are_rates_in_radians(joints: &JointColumns) -> bool {
+    /// To the rates in rad/s.
+    const RATIO: std::ops::Range<f64> = 0.5..2.0;
+    let t_s: Vec<f64> = joints.times.header.iter().map(|ns| *ns as f64 * 1e-9).collect();
+    let (mut products, mut squares) = (0.0, 0.0);
+    for joint in &joints.joints {
+        for row in 1..t_s.len().saturating_sub(1) {
+            let moved = joint.position[row + 1] - joint.position[row - 1];
+            let rate = moved.to_radians() / (t_s[row + 1] - t_s[row - 1]);
+            let velocity = joint.velocity[row];
+            if rate.is_finite() && velocity.is_finite() {
+                (products, squares) = (products + rate * velocity, squares + rate * rate);
+            }
+        }
+    }
+    RATIO.contains(&(products / squares))
 }
 
 /// `positions` are usable or NaN.

@@ -453,6 +453,7 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
         "ist",
         "a",
         "j",
+        "per",
         "s",
         "v",
     ];
@@ -471,16 +472,27 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
 
 /// Whether a name states positions or angles, measured or commanded, and not of what.
 pub(super) fn is_bare_position(words: &[String]) -> bool {
-    const WORDS: &[&str] = &["pos", "position", "positions", "winkel", "angle", "angles"];
     let is_command = |word: &String| COMMAND_WORDS.contains(&word.as_str());
-    contains_any(words, WORDS)
-        && shared_words(words).iter().all(is_command)
-        && !is_other_quantity(words)
+    is_position(words) && shared_words(words).iter().all(is_command)
 }
 
-/// Whether a name states velocities, and not of what.
-pub(super) fn is_bare_velocity(words: &[String]) -> bool {
-    is_joint_velocities(words) && shared_words(words).is_empty()
+fn is_position(words: &[String]) -> bool {
+    const WORDS: &[&str] = &["pos", "position", "positions", "winkel", "angle", "angles"];
+    contains_any(words, WORDS) && !is_other_quantity(words)
+}
+
+/// Whether a name states positions, and another the velocities of the same, as `act_pos_se_deg` and
+/// `act_vel_se_deg_per_s`. Names of poses have words for the tool.
+pub(super) fn are_position_and_velocity(words: &[String], others: &[String]) -> bool {
+    let is_command = |word: &String| COMMAND_WORDS.contains(&word.as_str());
+    let shared = |words: &[String]| -> Vec<String> {
+        shared_words(words).into_iter().filter(|word| !is_command(word)).collect()
+    };
+    is_position(words)
+        && !is_pose(words)
+        && !is_gripper(words)
+        && is_joint_velocities(others)
+        && shared(words) == shared(others)
 }
 
 /// `qd` can mean desired positions or velocities.
@@ -490,6 +502,12 @@ pub(super) fn is_ambiguous_velocity(words: &[String]) -> bool {
 
 pub(super) fn is_gripper(words: &[String]) -> bool {
     contains_any(words, GRIPPER_WORDS) && !contains_any(words, &["wrist"])
+}
+
+/// Whether the name of a gripper denotes its pose, and not its joints.
+pub(super) fn is_pose_of_gripper(name: &str, width: usize) -> bool {
+    let is_whole = matches!(width, 7 | 12 | 16) && contains_any(&split_words(name), &["pose"]);
+    is_whole || pose_part(name, width).is_some()
 }
 
 pub(super) fn is_joint_positions(words: &[String]) -> bool {
@@ -694,6 +712,8 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
         |known: &[&str]| names.iter().all(|name| contains_any(&split_words(name), known));
     let label = |label: usize| is_all(&|at| PoseComponent::Label(label, at));
     match names.len() {
+        4 if are_named(&["wxyz"]) => Some(RotationLabels::ScalarFirst),
+        4 if are_named(&["xyzw"]) => Some(RotationLabels::Quaternion),
         4 => {
             let by_letter = |at| {
                 if at < 3 { PoseComponent::Rotation(at) } else { PoseComponent::Quaternion(3) }
@@ -724,7 +744,7 @@ fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
         POSITION_WORDS.contains(&word)
             || ROTATION_WORDS.contains(&word)
             || UNIT_WORDS.contains(&word)
-            || ["q", "r", "matrix", "mat"].contains(&word)
+            || ["q", "r", "matrix", "mat", "wxyz", "xyzw", "w"].contains(&word)
     };
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
@@ -736,8 +756,9 @@ pub(super) fn pose_key_of_stem(stem: &[String]) -> Vec<String> {
 /// The part in a column of bare numbers, and the words that name the pose.
 pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePart)> {
     let words = split_words(name);
-    if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper(&words)
-    {
+    // A hand's position is that of the tool.
+    let is_gripper = is_gripper(&words) && !contains_any(&words, &["hand"]);
+    if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper {
         return None;
     }
     let is_position = contains_any(&words, POSITION_WORDS);

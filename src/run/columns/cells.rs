@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use crate::diagnosis::NumericTable;
 use crate::log::{TableCell, Topic};
 use crate::run::joint_order::TABLE;
-use crate::run::role::{Role, role_by_content, role_outside_arm};
+use crate::run::role::{Role, role_by_content, role_by_name, role_outside_arm};
 use crate::stream::{Columns, Times};
 use crate::time::NANOS_PER_SECOND;
 
@@ -45,7 +45,9 @@ fn number_kind(topic: &Topic) -> Option<NumberKind> {
         return None;
     }
     match topic.columns.as_ref()? {
-        Columns::Array(array) if array.unnamed => Some(NumberKind::Unidentified),
+        Columns::Array(array) if array.unnamed => {
+            (role_by_name(&topic.name) != Role::Target).then_some(NumberKind::Unidentified)
+        }
         Columns::Array(_) | Columns::Poses(_) => {
             (role_outside_arm(&topic.name) == Role::Unassigned).then_some(NumberKind::Position)
         }
