@@ -673,7 +673,7 @@ fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]
 
 /// Joints named after parts of an arm.
 fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
-    let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
+    let mut homes: BTreeMap<(String, &str), Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
         let own = name(table, cell);
         let base = || names::is_base(own).then(|| names::without_unit(own).to_owned());
@@ -685,10 +685,11 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             home => home.to_owned(),
         };
         let joint = joint.rsplit(['/', '.']).next().unwrap_or(&joint).to_owned();
-        homes.entry(home).or_default().push((cell, joint));
+        let command = names::command_word(own).unwrap_or_default();
+        homes.entry((home, command)).or_default().push((cell, joint));
     }
     let mut groups = Vec::new();
-    for (home, members) in homes {
+    for ((home, command), members) in homes {
         // The hand in `left_hand.joint_1` is part of the path.
         let of_arm = |(cell, _): &&(Cell, String)| {
             !names::is_gripper(&names::split_words(name(table, *cell)))
@@ -700,7 +701,11 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         if !names::are_several_limbs(&names) {
             continue;
         }
-        let topic = if home.is_empty() { "joints".to_owned() } else { home };
+        let topic = match (home.is_empty(), command.is_empty()) {
+            (true, true) => "joints".to_owned(),
+            (true, false) => format!("joints_{command}"),
+            (false, _) => home,
+        };
         let why = describe_origin(table, &cells, "by joint names");
         groups.push(ColumnGroup {
             topic,

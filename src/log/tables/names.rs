@@ -159,6 +159,8 @@ const OTHER_WORDS: &[&str] = &[
     "jacobian",
     "error",
     "errors",
+    "limit",
+    "limits",
     "violation",
     "collision",
     "contact",
@@ -561,9 +563,34 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     }
     const ENDINGS: &[&str] =
         &[".pos", "_pos", ".position", "_position", "/position", ".q", "_rad", "_deg", "_p"];
-    let name = without_unit(name);
+    let name = without_state(without_unit(name));
     let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
-    (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
+    (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| without_state(bare).to_owned())
+}
+
+/// Without words at its ends for measured or commanded values: `elbow_pos` of `elbow_pos_target` and `cmd_elbow_pos`.
+fn without_state(name: &str) -> &str {
+    const MEASURED_WORDS: &[&str] =
+        &["actual", "act", "measured", "meas", "present", "current", "feedback", "q"];
+    let is_state = |word: &str| {
+        let word = word.to_lowercase();
+        COMMAND_WORDS.contains(&word.as_str()) || MEASURED_WORDS.contains(&word.as_str())
+    };
+    let mut bare = name;
+    while let Some((rest, _)) = bare.rsplit_once(['_', '.', '/']).filter(|it| is_state(it.1)) {
+        bare = rest;
+    }
+    // A path distinguishes streams.
+    while let Some((_, rest)) = bare.split_once('_').filter(|it| is_state(it.0)) {
+        bare = rest;
+    }
+    bare
+}
+
+/// Word for a command in a name.
+pub(super) fn command_word(name: &str) -> Option<&'static str> {
+    let words = split_words(name);
+    COMMAND_WORDS.iter().copied().find(|word| words.iter().any(|own| own == word))
 }
 
 /// Whether the names are of several limbs, or of numbered joints. libfranka logs its elbow configuration as `elbow0` and `elbow1`.
