@@ -20,6 +20,7 @@ use crate::stream::{Orientations, PoseTrack};
 
 use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
+use super::source_kind::names_tracker;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
     resolve_tool_switching(run);
@@ -258,7 +259,10 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
             run.clear_role(candidate, reason);
             continue;
         }
-        if is_seen && role_outside_arm(&run.streams[candidate].topic) == Role::Target {
+        // A tracker's pose moves like that if it is inverted.
+        let is_tracker = names_tracker(&run.streams[candidate]);
+        let is_target = role_outside_arm(&run.streams[candidate].topic) == Role::Target;
+        if is_seen && is_target && !is_tracker {
             let reason = "it moves like a fixed object seen from the tool".to_owned();
             run.assign_role_by_name(candidate, reason);
             continue;
@@ -271,7 +275,7 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
             || peak.is_some_and(|peak| peak.correlation < MIN_FOLLOWER_CORRELATION);
         let follows_otherwise = is_doubtful
             && found.is_some_and(|(arm, source)| {
-                source.stamps_copied
+                (source.stamps_copied || is_tracker)
                     && follows_with_other_encoding(&arm.joints, &run.pose_stream(source), max_lag_s)
             });
         match lead_s {

@@ -7,6 +7,7 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use super::Stream;
 use super::role::{FrameKind, find_driver, find_word, split_words};
 
 /// Source of poses.
@@ -33,7 +34,8 @@ impl PoseSourceKind {
     }
 }
 
-const EXTERNAL_WORDS: &[&str] = &[
+/// Motion-capture systems and laser trackers.
+const TRACKER_WORDS: &[&str] = &[
     "vicon",
     "optitrack",
     "natnet",
@@ -47,12 +49,9 @@ const EXTERNAL_WORDS: &[&str] = &[
     "leica",
     "vive",
     "lighthouse",
-    "apriltag",
-    "aruco",
-    "charuco",
-    "camera",
-    "optical",
 ];
+
+const CAMERA_WORDS: &[&str] = &["apriltag", "aruco", "charuco", "camera", "optical"];
 
 /// Packages with controller messages.
 const CONTROLLER_PACKAGES: &[&str] =
@@ -74,6 +73,16 @@ pub(super) struct PoseNames<'a> {
     pub stamps_copied: bool,
 }
 
+fn external_word(words: &[String]) -> Option<&'static str> {
+    find_word(words, TRACKER_WORDS).or_else(|| find_word(words, CAMERA_WORDS))
+}
+
+/// Whether the names of a stream are those of a motion-capture system or a laser tracker.
+pub(super) fn names_tracker(stream: &Stream) -> bool {
+    let names = [&stream.topic, &stream.frame_id];
+    names.into_iter().any(|name| find_word(&split_words(name), TRACKER_WORDS).is_some())
+}
+
 pub(super) fn classify_source(names: &PoseNames<'_>) -> (PoseSourceKind, String) {
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();
@@ -81,7 +90,7 @@ pub(super) fn classify_source(names: &PoseNames<'_>) -> (PoseSourceKind, String)
     let topic_words = split_words(topic);
     let outside = [topic, frame_id, child_frame_id]
         .into_iter()
-        .find_map(|name| find_word(&split_words(name), EXTERNAL_WORDS));
+        .find_map(|name| external_word(&split_words(name)));
     if let Some(word) = outside {
         return (PoseSourceKind::External, format!("the word '{word}' in its names"));
     }
