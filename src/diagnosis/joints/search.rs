@@ -280,6 +280,8 @@ fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
         reversed.retain(|proposal| proposal.price < MIRROR_PRICE);
     }
     proposals.extend(best_proposals(thin, reversed, freedom, REFINED_PROPOSALS / 2));
+    let in_degrees = subsets_in_degrees(view, &none);
+    proposals.extend(best_proposals(thin, in_degrees, freedom, REFINED_PROPOSALS / 2));
     proposals.extend(common_gear(thin, &none, freedom));
     proposals.extend(
         (0..view.chain.dof()).flat_map(|joint| single_joint(thin, &none, 0.0, freedom, joint)),
@@ -321,6 +323,34 @@ fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointPropos
         unrefined(map, if count == moving.len() { 1.25 } else { count as f64 })
     };
     (1..1u32 << moving.len()).map(flipped).collect()
+}
+
+/// Some joints in degrees, among them all that turn too far in radians. Empty without such joints.
+fn subsets_in_degrees(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
+    /// One cause, but rarer than a unit of all joints. Joints whose unit the motion does not show remain as logged.
+    const PRICE: f64 = 1.5;
+    const PRICE_OF_JOINT: f64 = 0.01;
+    /// No joint turns further, rad.
+    const MAX_TURN_RAD: f64 = 2.0 * TAU;
+    let kinds = view.chain.joint_kinds();
+    let is_far = |joint: &usize| {
+        view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD)
+    };
+    let turning = (0..kinds.len()).filter(|joint| kinds[*joint] != JointKind::Prismatic);
+    let (far, near): (Vec<usize>, Vec<usize>) = turning.partition(is_far);
+    if far.is_empty() {
+        return Vec::new();
+    }
+    let subset = |chosen: u32| {
+        let others = near.iter().enumerate().filter(|(bit, _)| chosen & (1 << bit) != 0);
+        let mut map = base.clone();
+        for joint in far.iter().chain(others.map(|(_, joint)| joint)) {
+            map.factor[*joint] = 1f64.to_radians();
+        }
+        unrefined(map, PRICE + PRICE_OF_JOINT * f64::from(chosen.count_ones()))
+    };
+    // All of them are another proposal.
+    (0..(1u32 << near.len()) - 1).map(subset).collect()
 }
 
 /// Common factor of all revolute joints that is not round, such as that of a unit.

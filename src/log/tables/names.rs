@@ -109,6 +109,8 @@ const OTHER_WORDS: &[&str] = &[
     "qdd",
     "qddot",
     "ddot",
+    "dotdot",
+    "qdotdot",
     "ddtheta",
     "dd",
     "qacc",
@@ -383,6 +385,7 @@ pub(super) fn is_other_quantity(words: &[String]) -> bool {
         || is_motor_current(words)
         || is_tool_twist(words)
         || is_uncertainty(words)
+        || words.ends_with(&["per", "s", "2"].map(str::to_owned))
 }
 
 /// `dtau`, the rate of a torque.
