@@ -57,6 +57,7 @@ mod topics;
 mod trajectory;
 mod unwrap;
 mod velocities;
+mod vibration;
 
 use std::sync::Arc;
 

@@ -21,8 +21,10 @@ use crate::stream::{Orientations, PoseTrack};
 use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 use super::source_kind::names_tracker;
+use super::vibration::follow_recorded_positions;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
+    follow_recorded_positions(run);
     resolve_tool_switching(run);
     align_moving_bases(run, max_lag_s);
     resolve_shared_transforms(run);

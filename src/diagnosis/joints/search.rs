@@ -333,9 +333,8 @@ fn subsets_in_degrees(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProp
     /// No joint turns further, rad.
     const MAX_TURN_RAD: f64 = 2.0 * TAU;
     let kinds = view.chain.joint_kinds();
-    let is_far = |joint: &usize| {
-        view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD)
-    };
+    let is_far =
+        |joint: &usize| view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD);
     let turning = (0..kinds.len()).filter(|joint| kinds[*joint] != JointKind::Prismatic);
     let (far, near): (Vec<usize>, Vec<usize>) = turning.partition(is_far);
     if far.is_empty() {
