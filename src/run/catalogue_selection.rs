@@ -76,18 +76,19 @@ impl RankedModel {
 
     pub fn describe(&self) -> String {
         let residual = Unit::Metre.show(self.hypothesis.residual_m);
+        let tool = || format!(" with a TCP of {}", Unit::Metre.show(self.hypothesis.tool_m.norm()));
         match self.hypothesis.assumption {
             _ if self.hypothesis.is_misinterpreted => {
                 format!("{residual} with inverted poses or joints in degrees")
             }
             FitAssumption::Nothing => residual,
-            FitAssumption::Tool => {
-                format!(
-                    "{residual} with a TCP of {}",
-                    Unit::Metre.show(self.hypothesis.tool_m.norm())
-                )
+            FitAssumption::Tool => residual + &tool(),
+            FitAssumption::HalfTurn { tool: true } => {
+                format!("{residual} in a base turned by 180°{}", tool())
             }
-            FitAssumption::HalfTurn { .. } => format!("{residual} in a base turned by 180°"),
+            FitAssumption::HalfTurn { tool: false } => {
+                format!("{residual} in a base turned by 180°")
+            }
             FitAssumption::Zero { .. } => format!("{residual} with a joint zero offset"),
             FitAssumption::Reference { .. } => format!("{residual} in another frame"),
         }
