@@ -609,3 +609,35 @@ fn positions_of_markers_and_objects_that_are_not_compared_are_listed() {
         assert!(row.reason.contains("not compared"), "{name}: {}", row.reason);
     }
 }
+
+/// Poses of each row are FK of its joint positions, as in a simulation.
+#[test]
+fn a_vibration_that_the_poses_show_is_no_noise() {
+    let chain = ur5e();
+    let rows = CLEAN.rows().into_iter().enumerate().map(|(at, row)| {
+        let mut q = row[1..=JOINTS].to_vec();
+        // Alternates from row to row.
+        let shake = if at % 2 == 0 { 0.01 } else { -0.01 };
+        q[4] += shake;
+        q[5] -= 0.7 * shake;
+        let pose = chain.forward(&q);
+        let rotation = xyzw_from_rotation(&pose.rotation);
+        [vec![0.4 * row[0]], q, pose.translation.vector.as_slice().to_vec(), rotation.to_vec()]
+            .concat()
+    });
+    let rows: Vec<Vec<f64>> = rows.collect();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    let header = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw";
+    write_columns(&path, header, &rows, 1..14);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    // The vibration itself is a fault.
+    assert!(
+        fault_codes(&report).iter().all(|code| code.starts_with("MOT")),
+        "{:?}",
+        report.findings
+    );
+    let residual = report.checks.iter().find(|row| row.code == "MDL001").expect("a residual");
+    let rms_m = residual.estimate.as_ref().and_then(|estimate| estimate.value()).expect("a value");
+    assert!(rms_m < 1e-5, "{rms_m}");
+}

@@ -15,9 +15,11 @@ use poseaudit::synth::{IMU, JOINT_STATES, LoggedEncoding, Motion, POSE, Task};
 use crate::checks::case::ExpectedEstimate::{self, Degrees, IsReadAs, Order};
 use crate::checks::case::ExpectedSubject::{self, JointOf, Topic};
 use crate::checks::case::{Expected, Log, cases, error, single_finding, summary, warning};
-use crate::checks::recording::{Field, Message, drop_messages, freeze_samples};
+use crate::checks::recording::{Field, Message, drop_messages, freeze_samples, rename_topic};
 use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, OtherFindingAndInconclusive, Skipped};
 
+/// Topic of a tracked body on the tool.
+const MARKER: &str = "/vicon/tool_marker/pose";
 /// Topic of the poses as unnamed numbers.
 const NUMBERS: &str = "/arm/tool_vector";
 
@@ -84,6 +86,11 @@ cases! {
 
     ORD003 an_inverted_pose: |log| log.run.pose.encoding = LoggedEncoding::Inverted
         => error(Topic(POSE), IsReadAs("pose-inverse", "pose"));
+    ORD003 an_inverted_pose_of_a_tracker_is_no_camera_target: |log| {
+        log.run.pose.encoding = LoggedEncoding::Inverted;
+        log.run.pose.frame_id = "vicon".to_owned();
+        log.edit = Some(|messages| rename_topic(messages, POSE, MARKER));
+    } => error(Topic(MARKER), ExpectedEstimate::None);
     ORD003 a_transposed_rotation: |log| log.run.pose.encoding = LoggedEncoding::Transposed
         => error(Topic(POSE), IsReadAs("transpose", "pose"));
     ORD003 an_inverted_imu: |log| log.run.imu.encoding = LoggedEncoding::Transposed

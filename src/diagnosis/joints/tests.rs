@@ -265,3 +265,58 @@ fn a_joint_reversed_among_degrees_is_multiplied_by_minus_one() {
     assert_eq!(reversed.column, REVERSED);
     assert!((reversed.factor + 1.0).abs() < 1e-3, "{reversed:?}");
 }
+
+#[test]
+fn some_joints_in_degrees_are_found_beside_others_in_radians() {
+    const IN_DEGREES: [usize; 2] = [1, 4];
+    let (mut joints, chain) = test_motion::arm();
+    let (xyz, rotations) = joints
+        .q
+        .chunks(6)
+        .map(|q| chain.forward(q))
+        .map(|p| (p.translation.vector, p.rotation))
+        .unzip();
+    let orientation = Orientations::Rotations(rotations);
+    let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+    for values in [&mut joints.q, &mut joints.qd] {
+        for row in values.chunks_mut(6) {
+            IN_DEGREES.into_iter().for_each(|joint| row[joint] = row[joint].to_degrees());
+        }
+    }
+    let found = diagnose_arm(&joints, &[test_motion::tip_stream(&track, &chain)], 1.0);
+    let errors = found.joints.encoding.expect("an encoding").unit_errors;
+    let columns: Vec<usize> = errors.iter().map(|error| error.column).collect();
+    assert_eq!(columns, IN_DEGREES, "{errors:?}");
+    assert!(errors.iter().all(|error| (error.factor / 1f64.to_radians() - 1.0).abs() < 1e-3));
+}
+
+/// The forearm and the first wrist joint keep the tool's orientation.
+#[test]
+fn a_reversed_wrist_is_found_while_the_tool_keeps_its_orientation() {
+    const REVERSED: usize = 3;
+    let (mut joints, chain) = test_motion::arm();
+    for (row, q) in joints.q.chunks_mut(6).enumerate() {
+        let t_s = row as f64 * 0.008;
+        let (lift, elbow) = (-1.4 + 0.3 * (0.7 * t_s).sin(), 1.6 + 0.4 * (1.1 * t_s).cos());
+        q.copy_from_slice(&[0.3, lift, elbow, -1.9 - lift - elbow, -1.57, 0.2]);
+    }
+    joints.qd.fill(0.0);
+    let mut random = Lcg::new();
+    let poses = joints.q.chunks(6).map(|q| {
+        let pose = chain.forward(q);
+        let noise = rotation_from_rotvec(random.triple(2e-5).into());
+        (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation * noise)
+    });
+    let (xyz, rotations) = poses.unzip();
+    let orientation = Orientations::Rotations(rotations);
+    let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+    joints.q.iter_mut().skip(REVERSED).step_by(6).for_each(|q| *q = -*q);
+    let period_s = 0.008;
+    for at in 6..joints.q.len() {
+        joints.qd[at] = (joints.q[at] - joints.q[at - 6]) / period_s;
+    }
+    let found = diagnose_arm(&joints, &[test_motion::tip_stream(&track, &chain)], 1.0);
+    let errors = found.joints.encoding.expect("an encoding").unit_errors;
+    let [reversed] = errors.as_slice() else { panic!("{errors:?}") };
+    assert_eq!((reversed.column, reversed.factor.round()), (REVERSED, -1.0));
+}

@@ -647,14 +647,14 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     }
 }
 
-/// They must be much closer to the positions than to their rates.
+/// They must be much closer to the positions than to their rates, also if these are in rad/s beside degrees.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
     let value = |row: usize, cell: &Cell| {
         let column = &table.columns[cell.column];
         column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
     };
-    let (mut to_positions, mut to_rates) = (0.0, 0.0);
+    let (mut to_positions, mut to_rates, mut to_radians) = (0.0, 0.0, 0.0);
     for row in 1..table.rows.saturating_sub(1) {
         let stamps = [row - 1, row + 1].map(|row| clock.stamps.get(row).copied().flatten());
         let [Some(before), Some(after)] = stamps else { continue };
@@ -665,10 +665,11 @@ fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]
             if step_s > 0.0 && rate.is_finite() && own.is_finite() && there.is_finite() {
                 to_positions += (there - own).powi(2);
                 to_rates += (there - rate).powi(2);
+                to_radians += (there - rate.to_radians()).powi(2);
             }
         }
     }
-    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * to_rates
+    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * f64::min(to_rates, to_radians)
 }
 
 /// Joints named after parts of an arm.

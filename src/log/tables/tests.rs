@@ -937,6 +937,85 @@ fn joints_named_by_parts_have_positions_and_velocities() {
 }
 
 #[test]
+fn targets_of_joints_named_by_parts_are_commands() {
+    const PARTS: [&str; 4] =
+        ["shoulder_pan_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint"];
+    for (before, after) in
+        [("", "_pos_target"), ("", "_cmd"), ("target_", "_pos"), ("", "_position_command")]
+    {
+        let all = |before: &str, after: &str| PARTS.map(|part| format!("{before}{part}{after}"));
+        let limits = PARTS.map(|part| format!("{part}_pos_limit_upper"));
+        let names = [
+            vec!["t".to_owned()],
+            all("", "_pos").to_vec(),
+            all(before, after).to_vec(),
+            all("", "_vel").to_vec(),
+            limits.to_vec(),
+        ];
+        let names = names.concat();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+        assert_eq!(joints(&log, "joints").0, PARTS, "{after}");
+        let Some(Columns::Joints(own)) = &topic(&log, "joints").columns else { panic!() };
+        assert_eq!(own.joints[0].velocity[0], 9.0, "{after}");
+        let commands = log.topics.iter().find(|topic| topic.name.starts_with("joints_"));
+        let name = commands.expect("commands").name.clone();
+        assert_eq!(joints(&log, &name).0, PARTS, "{after}");
+    }
+}
+
+#[test]
+fn velocities_in_radians_stay_beside_positions_in_degrees() {
+    let degrees = |row: usize, joint: usize| 40.0 * (0.1 * row as f64 + joint as f64).sin();
+    let rate = |row: usize, joint: usize| 200.0 * (0.1 * row as f64 + joint as f64).cos();
+    let names = ["t", "q1 [deg]", "q2 [deg]", "q3 [deg]", "q4 [deg]", "qd1", "qd2", "qd3", "qd4"];
+    for unit in [1f64.to_radians(), 1.0] {
+        let cell = |row: usize, at: usize| match at {
+            0 => 0.02 * row as f64,
+            1..=4 => degrees(row, at),
+            _ => unit * rate(row, at - 4),
+        };
+        let log = plain(csv(&names, 60, cell).as_bytes());
+        let own = log.topics.iter().find_map(|topic| match &topic.columns {
+            Some(Columns::Joints(joints)) => Some(joints),
+            _ => None,
+        });
+        let velocity = own.expect("joints").joints[0].velocity[10];
+        let expected = rate(10, 1).to_radians();
+        assert!((velocity - expected).abs() < 1e-6, "{unit}: {velocity} {expected}");
+    }
+}
+
+#[test]
+fn a_hand_s_position_and_quaternion_are_a_pose_of_that_order() {
+    let record = |row: usize| {
+        let a = 0.05 * row as f64;
+        let [w, x] = [(0.5 * a).cos(), (0.5 * a).sin()];
+        format!(
+            r#"{{"time_s":{a},"arm_joint_position_rad":[{a},1,2,3,{a},5],"hand_position_w_m":[{a},0.2,0.3],"hand_quaternion_wxyz":[{w},{x},0,0]}}"#
+        )
+    };
+    let text = (0..40).map(record).collect::<Vec<_>>().join(",\n");
+    let log = plain(format!("[{text}]").as_bytes());
+    let pose = topic(&log, "hand_position_w_m");
+    assert_eq!(pose.cells.len(), 7, "{:?}", pose.cells);
+    assert_eq!(pose.cells[3].labels, Some(crate::RotationLabels::ScalarFirst));
+}
+
+#[test]
+fn rows_that_repeat_with_their_stamp_hide_no_clock() {
+    // Every ninth row is a copy of the one before.
+    let source = |row: usize| row - row.div_ceil(9);
+    let cell = |row: usize, at: usize| match at {
+        0 => 0.02 * source(row + 1) as f64,
+        _ => (0.1 * source(row + 1) as f64 + at as f64).sin(),
+    };
+    let names = ["c0", "c1", "c2", "c3", "c4", "c5", "c6"];
+    let log = plain(csv(&names, 200, cell).as_bytes());
+    assert_eq!(log.time_column.as_deref(), Some("c0"));
+}
+
+#[test]
 fn differentials_of_joints_are_velocities() {
     for [position, velocity, acceleration] in [
         ["Theta_{}", "D_Theta_{}", "DD_Theta_{}"],

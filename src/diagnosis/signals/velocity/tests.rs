@@ -46,6 +46,9 @@ fn each_velocity_fault_is_classified_with_its_size() {
     let turned = diagnosis(0.0015, |t| -rate(0, t));
     assert!(matches!(turned.shape, VelocityShape::Scaled(by) if (by + 1.0).abs() < 0.02));
     assert_eq!(diagnosis(0.0, |_| 0.0).shape, VelocityShape::Zero);
+    let radians = diagnosis(0.0, |t| rate(0, t).to_radians());
+    let small = 1f64.to_radians();
+    assert!(matches!(radians.shape, VelocityShape::Scaled(by) if (by / small - 1.0).abs() < 0.01));
     let swapped = diagnosis(0.0, |t| rate(1, t));
     assert!(matches!(swapped.shape, VelocityShape::OfJoint(1, by) if (by - 1.0).abs() < 0.02));
     assert_eq!(diagnosis(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unrelated);
