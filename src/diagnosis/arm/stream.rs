@@ -68,7 +68,12 @@ impl PoseDiagnosis {
         let is_lower = |held_out: &Option<HeldOutResidual>| {
             held_out.is_none_or(|held_out| held_out.is_lower())
         };
-        let StreamHeldOut { skew, radial_scale, reference, tool, .. } = &self.held_out;
+        let StreamHeldOut { latency, skew, radial_scale, reference, tool } = &self.held_out;
+        let is_late = |latency: &Measured| latency.value.abs() > latency.half_width(0.95);
+        if self.latency_s.as_ref().is_ok_and(is_late) && !is_lower(latency) {
+            // It imitates an error of the model.
+            self.latency_s = Err(NotObservable::NotExcited);
+        }
         // Link deviations cause larger errors than small skews.
         self.is_skew_chosen &= self.is_nominal || is_lower(skew);
         self.is_radial_scale_chosen &= is_lower(radial_scale);
