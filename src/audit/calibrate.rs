@@ -6,7 +6,7 @@ use super::Options;
 use super::fixed_point::{
     self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
-use super::tables::read_table;
+use super::tables::{read_table, read_tables};
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
 };
@@ -124,6 +124,12 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
+    if let [one, other] = options.logs.as_slice()
+        && let Some(table) = read_tables([one, other], &options.read.columns)?
+    {
+        let one_run = Options { logs: vec![one.clone()], ..options.clone() };
+        return calibrate_inputs(&one_run, |path| table.input(path, &options.run), None);
+    }
     let read = |path: &Path| match read_table(path, &options.read.columns)? {
         Some(table) => table.input(path, &options.run),
         None => inputs_from_log(path, options, topic),

@@ -7,6 +7,7 @@ use crate::diagnosis::{LastTurn, PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{
     CalibrationTable, ColumnSettings, NumberTable, RotationColumns, read_calibration_table,
+    read_calibration_tables,
 };
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::{Chain, LinkId, Robot};
@@ -24,6 +25,14 @@ pub(super) fn read_table(
     columns: &ColumnSettings,
 ) -> Result<Option<ConfigurationTable>, Trouble> {
     Ok(read_calibration_table(path, columns)?.map(ConfigurationTable))
+}
+
+/// Joints and poses of the same configurations in two tables. `None` if the files are something else.
+pub(super) fn read_tables(
+    paths: [&Path; 2],
+    columns: &ColumnSettings,
+) -> Result<Option<ConfigurationTable>, Trouble> {
+    Ok(read_calibration_tables(paths, columns)?.map(ConfigurationTable))
 }
 
 pub(super) struct ConfigurationTable(CalibrationTable);

@@ -13,8 +13,8 @@ use super::{Outcome, messages, misuse};
 /// Estimate the link parameters of an arm from logs, and write a calibrated model
 ///
 /// Each LOG is a separate run of the same arm. A table of static poses without stamps (CSV with columns for
-/// the joints and the measured pose) also works, with --robot. Poses of the arm's own controller calibrate
-/// the controller's kinematics, poses of a tracker the arm itself.
+/// the joints and the measured pose, or one file of each with as many rows) also works, with --robot. Poses
+/// of the arm's own controller calibrate the controller's kinematics, poses of a tracker the arm itself.
 ///
 /// With --fixed-point, each LOG is a list of joint positions (CSV, YAML, JSON, with or without names), or a log in
 /// which the arm rests in each of them. A point of the tool stays at one unknown place, such as a ball in a socket.

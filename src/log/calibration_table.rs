@@ -7,7 +7,7 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
-use super::tables::{LayoutGroup, LayoutTime, TableFormat};
+use super::tables::{LayoutGroup, LayoutTime, TableFormat, rows_of_numbers};
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
     AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows, xyzw_from_rotation,
@@ -85,13 +85,61 @@ pub fn read_calibration_table(
     path: &Path,
     settings: &ColumnSettings,
 ) -> Result<Option<CalibrationTable>, LogError> {
+    Ok(read_named_numbers(path, settings)?.and_then(by_names))
+}
+
+/// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else,
+/// or their rows do not correspond.
+///
+/// # Errors
+/// Those of [`read_calibration_table`].
+pub fn read_calibration_tables(
+    paths: [&Path; 2],
+    settings: &ColumnSettings,
+) -> Result<Option<CalibrationTable>, LogError> {
+    let [one, other] = paths.map(|path| read_named_numbers(path, settings));
+    let (Some(one), Some(other)) = (one?, other?) else { return Ok(None) };
+    let has_poses = |table: &NumberTable| columns(&table.names).is_some();
+    let (mut joints, poses) = match (has_poses(&one), has_poses(&other)) {
+        (false, true) => (one, other),
+        (true, false) => (other, one),
+        _ => return Ok(None),
+    };
+    let is_whole = |table: &NumberTable| table.dropped.is_empty();
+    if joints.rows.len() != poses.rows.len() || !is_whole(&joints) || !is_whole(&poses) {
+        return Ok(None);
+    }
+    if joints.names.is_empty() {
+        joints.names = (1..=joints.width()).map(|joint| format!("q{joint}")).collect();
+    }
+    joints.names.extend(poses.names);
+    joints.rows.iter_mut().zip(poses.rows).for_each(|(row, pose)| row.extend(pose));
+    Ok(by_names(joints))
+}
+
+/// Numbers at `path`, with the names of their columns by its layout in `settings` or by its header.
+fn read_named_numbers(
+    path: &Path,
+    settings: &ColumnSettings,
+) -> Result<Option<NumberTable>, LogError> {
     let Some(bytes) = read_bytes(path)? else { return Ok(None) };
     let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
-    match (layout, parse_numbers(&bytes, layout)) {
-        (_, None) => Ok(None),
-        (None, Some(numbers)) => Ok(by_names(numbers)),
-        (Some(layout), Some(numbers)) => by_layout(numbers, layout)
+    let of_numpy = || {
+        let rows = rows_of_numbers(&bytes)?;
+        let is_finite = |row: &Vec<f64>| row.iter().all(|number| number.is_finite());
+        let (rows, dropped): (Vec<_>, Vec<_>) =
+            (1..).zip(rows).partition(|(_, row): &(usize, Vec<f64>)| is_finite(row));
+        Some(NumberTable {
+            names: Vec::new(),
+            rows: rows.into_iter().map(|(_, row)| row).collect(),
+            dropped: dropped.into_iter().map(|(at, _)| at).collect(),
+        })
+    };
+    match (layout, of_numpy().or_else(|| parse_numbers(&bytes, layout))) {
+        (Some(layout), Some(numbers)) => named_by_layout(numbers, layout)
+            .map(Some)
             .map_err(|what| LogError::Layout { path: path.to_owned(), what }),
+        (_, numbers) => Ok(numbers),
     }
 }
 
@@ -116,11 +164,9 @@ fn by_names(numbers: NumberTable) -> Option<CalibrationTable> {
     Some(CalibrationTable { numbers, positions, rotation })
 }
 
-/// Names the joints by number, and converts joint positions and tool positions to rad and m if their units are declared.
-fn by_layout(
-    mut numbers: NumberTable,
-    layout: &RowLayout,
-) -> Result<Option<CalibrationTable>, String> {
+/// Names the columns of the joints, of the tool position and of its rotation, and converts joint positions and tool
+/// positions to rad and m if their units are declared.
+fn named_by_layout(mut numbers: NumberTable, layout: &RowLayout) -> Result<NumberTable, String> {
     if numbers.width() != layout.width() {
         return Err(format!(
             "--columns names {} columns, but its rows have {}",
@@ -133,22 +179,25 @@ fn by_layout(
     let is_measured = |group: &&LayoutGroup| {
         !group.is_command && (is_matrix(group) || !group.position.is_empty())
     };
-    let Some(group) = groups.iter().find(is_measured) else {
-        return Ok(None);
+    let has_joints = |group: &&LayoutGroup| !group.is_command && !group.joints.is_empty();
+    let group = groups.iter().find(is_measured).or_else(|| groups.iter().find(has_joints));
+    let Some(group) = group else {
+        numbers.names = vec!["_".to_owned(); numbers.width()];
+        return Ok(numbers);
     };
-    let position = match group.position.as_slice() {
-        &[x, y, z] => [x, y, z],
-        _ if is_matrix(group) => append_quaternions(&mut numbers, &group.rotation)?,
-        _ => return Ok(None),
-    };
-    let rotation = match (group.rotation.as_slice(), group.coding) {
-        ([], _) => RotationColumns::None,
-        _ if is_matrix(group) => {
-            RotationColumns::Quaternion([0, 1, 2, 3].map(|part| layout.width() + part))
+    let (position, rotation) = match is_matrix(group) {
+        true => {
+            let position = append_quaternions(&mut numbers, &group.rotation)?;
+            (position.to_vec(), (layout.width()..layout.width() + 4).collect())
         }
-        (&[a, b, c], _) => RotationColumns::Numbers([a, b, c]),
-        (&[w, x, y, z], Some(RotationEncoding::Wxyz)) => RotationColumns::Quaternion([x, y, z, w]),
-        (&[x, y, z, w], Some(RotationEncoding::Xyzw)) => RotationColumns::Quaternion([x, y, z, w]),
+        false => (group.position.clone(), group.rotation.clone()),
+    };
+    let names_of_rotation: &[&str] = match (rotation.len(), group.coding) {
+        (0, _) => &[],
+        _ if is_matrix(group) => &["qx", "qy", "qz", "qw"],
+        (3, _) => &["rx", "ry", "rz"],
+        (4, Some(RotationEncoding::Wxyz)) => &["qw", "qx", "qy", "qz"],
+        (4, Some(RotationEncoding::Xyzw)) => &["qx", "qy", "qz", "qw"],
         _ => {
             return Err("`calibrate` needs rotations in --columns as three numbers, `quat:xyzw` or `quat:wxyz`".to_owned());
         }
@@ -163,7 +212,12 @@ fn by_layout(
     for (joint, &at) in (1..).zip(&group.joints) {
         numbers.names[at] = format!("q{joint}");
     }
-    Ok(Some(CalibrationTable { numbers, positions: vec![position], rotation }))
+    let of_pose = position
+        .iter()
+        .zip(["x", "y", "z"])
+        .chain(rotation.iter().zip(names_of_rotation.iter().copied()));
+    of_pose.for_each(|(&at, name)| name.clone_into(&mut numbers.names[at]));
+    Ok(numbers)
 }
 
 /// Appends the quaternions of matrices by rows, or by columns if the last row is there. Returns the columns of the
@@ -349,6 +403,13 @@ mod tests {
         of.iter().map(|&name| name.to_owned()).collect()
     }
 
+    fn by_layout(
+        numbers: NumberTable,
+        layout: &RowLayout,
+    ) -> Result<Option<CalibrationTable>, String> {
+        named_by_layout(numbers, layout).map(by_names)
+    }
+
     fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
         parse_numbers(bytes, None).and_then(by_names)
     }
@@ -411,6 +472,29 @@ mod tests {
         assert_eq!(numbers.rows[0][7], 0.25);
         assert_eq!(numbers.joints(&names(&["elbow"])), Some(vec![7]));
         assert_eq!(numbers.joints(&names(&["elbow", "wrist"])), None);
+    }
+
+    #[test]
+    fn joints_and_poses_may_be_in_two_tables() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        let joints = write("q.txt", b"1 2\n3 4\n");
+        let poses = write("p.csv", b"x,y,z,qx,qy,qz,qw\n5,6,7,0,0,0,1\n8,9,10,0,0,0,1\n");
+        let settings = ColumnSettings::default();
+        let read = |one: &Path, other: &Path| read_calibration_tables([one, other], &settings);
+        for (one, other) in [(&joints, &poses), (&poses, &joints)] {
+            let table = read(one, other).unwrap().unwrap();
+            assert_eq!(table.numbers.rows[1], [3.0, 4.0, 8.0, 9.0, 10.0, 0.0, 0.0, 0.0, 1.0]);
+            assert_eq!(table.positions, [[2, 3, 4]]);
+            assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
+        }
+        let few = write("few.txt", b"1 2\n");
+        assert_eq!(read(&few, &poses).unwrap(), None);
+        assert_eq!(read(&poses, &poses).unwrap(), None);
     }
 
     #[test]

@@ -45,7 +45,8 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use self::calibration_table::{
-    CalibrationTable, NumberTable, RotationColumns, read_calibration_table, read_number_table,
+    CalibrationTable, NumberTable, RotationColumns, read_calibration_table,
+    read_calibration_tables, read_number_table,
 };
 pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,

@@ -86,13 +86,29 @@ fn half_to_f64(bits: u16) -> f64 {
 
 /// Numbers of an array with one dimension. `None` if it is none.
 pub(super) fn single_numbers(bytes: &[u8]) -> Option<Vec<f64>> {
+    let rows = rows_of_numbers(bytes)?;
+    rows.iter().all(|row| row.len() == 1).then(|| rows.concat())
+}
+
+/// Rows of an array of numbers with up to two dimensions. `None` if it is none.
+pub(crate) fn rows_of_numbers(bytes: &[u8]) -> Option<Vec<Vec<f64>>> {
     let (header, data) = bytes.starts_with(MAGIC).then(|| parse_header(bytes).ok()).flatten()?;
-    let ([(_, kind, 0, 1)], [rows] | [rows, 1]) =
-        (header.fields.as_slice(), header.shape.as_slice())
-    else {
-        return None;
+    let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
+    let (rows, width) = match header.shape.as_slice() {
+        &[rows] => (rows, 1),
+        &[rows, width] => (rows, width),
+        _ => return None,
     };
-    Some(data.chunks_exact(kind.size).take(*rows).map(|bytes| kind.read(bytes)).collect())
+    let numbers: Vec<f64> = data
+        .chunks_exact(kind.size)
+        .take(rows.checked_mul(width)?)
+        .map(|it| kind.read(it))
+        .collect();
+    let at = |row: usize, column: usize| match header.is_fortran {
+        true => numbers.get(column * rows + row).copied(),
+        false => numbers.get(row * width + column).copied(),
+    };
+    (0..rows).map(|row| (0..width).map(|column| at(row, column)).collect()).collect()
 }
 
 /// Each field has a name, a type, an offset in a row and a width.
