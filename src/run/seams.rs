@@ -20,7 +20,7 @@ pub(super) fn seams(log: &Log) -> Vec<[i64; 2]> {
     joints.map(seams_of_joints).max_by_key(Vec::len).unwrap_or_default()
 }
 
-/// Most joints jump at a seam, at least two.
+/// Most joints jump at a seam, at least two. After rows that repeat exactly, a driver that had stopped continues.
 fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
     let rows = joints.times.len();
     let mut jumping = vec![0_usize; rows];
@@ -31,7 +31,11 @@ fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
             jumps.into_iter().for_each(|row| jumping[row] += 1);
         }
     }
-    let is_seam = |row: &usize| jumping[*row] >= 2.max(moving / 2);
+    let repeats = |row: usize| {
+        let mut joints = joints.joints.iter();
+        joints.all(|joint| joint.position[row] == joint.position[row - 1])
+    };
+    let is_seam = |row: &usize| jumping[*row] >= 2.max(moving / 2) && !repeats(*row - 1);
     let received = &joints.times.log;
     (1..rows).filter(is_seam).map(|row| [received[row - 1], received[row]]).collect()
 }
@@ -96,6 +100,8 @@ mod tests {
         // A lost zero, and a spike.
         let stepped = |t_s: f64| [motion(t_s)[0], motion(t_s)[1] + f64::from(t_s > 3.0)];
         assert_eq!(seams_of_joints(&joints(600, stepped)), [[0; 2]; 0]);
+        let stopped = |t_s: f64| motion(if (2.0..4.0).contains(&t_s) { 2.0 } else { t_s });
+        assert_eq!(seams_of_joints(&joints(600, stopped)), [[0; 2]; 0]);
         let spiked = |t_s: f64| motion(t_s).map(|q| if t_s == 3.0 { q + 1.0 } else { q });
         assert_eq!(seams_of_joints(&joints(600, spiked)), [[0; 2]; 0]);
     }
