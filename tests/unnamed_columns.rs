@@ -336,15 +336,3 @@ fn a_pose_named_in_the_config_is_used_without_confirmation_by_motion() {
         assert!(!declared.log.notes.iter().any(|row| row.note.contains("does not confirm")));
     }
 }
-
-/// Desired positions are close to the measured ones, which alone are FK of the joints.
-#[test]
-fn a_desired_position_is_told_from_the_measured_one_by_fk() {
-    let desired = |at: usize, row: &[f64]| {
-        let error = 5e-4 * (0.02 * at as f64).sin();
-        row[7..10].iter().map(|length| length + error).collect()
-    };
-    let found = report_on(&rows_with(&CLEAN, desired), None);
-    assert_eq!(columns_of(&found, "pose"), column_names(9..16), "{:?}", found.error);
-    assert_eq!((found.verdict, fault_codes(&found)), (Verdict::Pass, Vec::new()));
-}

@@ -2,6 +2,8 @@
 //!
 //! Its stamps are generated, so the jump there takes one row, and looks like a motion.
 
+use std::ops::Range;
+
 use crate::log::{Log, Topic};
 use crate::stats::quantile;
 use crate::stream::{Columns, JointColumn, JointColumns};
@@ -20,7 +22,8 @@ pub(super) fn seams(log: &Log) -> Vec<[i64; 2]> {
     joints.map(seams_of_joints).max_by_key(Vec::len).unwrap_or_default()
 }
 
-/// Most joints jump at a seam, at least two. After rows that repeat exactly, a driver that had stopped continues.
+/// Most joints jump at a seam, at least two, and both parts are recordings. After rows that repeat exactly, a driver that had
+/// stopped continues.
 fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
     let rows = joints.times.len();
     let mut jumping = vec![0_usize; rows];
@@ -35,14 +38,27 @@ fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
         let mut joints = joints.joints.iter();
         joints.all(|joint| joint.position[row] == joint.position[row - 1])
     };
-    let is_seam = |row: &usize| jumping[*row] >= 2.max(moving / 2) && !repeats(*row - 1);
+    // Samples of another kind, such as zeros, may take the place of a few rows.
+    let is_recording = |part: Range<usize>| {
+        part.len() >= MIN_STEPS && (part.start + 1..part.end).any(|row| !repeats(row))
+    };
+    let jumps: Vec<usize> = (1..rows).filter(|row| jumping[*row] >= 2.max(moving / 2)).collect();
+    let is_seam = |at: &usize| {
+        let row = jumps[*at];
+        let before = at.checked_sub(1).map_or(0, |before| jumps[before])..row;
+        let after = row..jumps.get(at + 1).copied().unwrap_or(rows);
+        !repeats(row - 1) && is_recording(before) && is_recording(after)
+    };
     let received = &joints.times.log;
-    (1..rows).filter(is_seam).map(|row| [received[row - 1], received[row]]).collect()
+    let seams = (0..jumps.len()).filter(is_seam).map(|at| jumps[at]);
+    seams.map(|row| [received[row - 1], received[row]]).collect()
 }
+
+/// Of a recording.
+const MIN_STEPS: usize = 50;
 
 /// Rows to which a joint jumps. `None` if it moves little.
 fn jumps(joint: &JointColumn) -> Option<Vec<usize>> {
-    const MIN_STEPS: usize = 50;
     /// Of the steps of a motion.
     const USUAL_QUANTILE: f64 = 0.99;
     /// To the usual step. A seam joins any two positions.
@@ -102,6 +118,11 @@ mod tests {
         assert_eq!(seams_of_joints(&joints(600, stepped)), [[0; 2]; 0]);
         let stopped = |t_s: f64| motion(if (2.0..4.0).contains(&t_s) { 2.0 } else { t_s });
         assert_eq!(seams_of_joints(&joints(600, stopped)), [[0; 2]; 0]);
+        // Zeros in the place of a few samples, and of many.
+        for end_s in [3.2, 5.0] {
+            let lost = |t_s: f64| if (3.0..end_s).contains(&t_s) { [0.0; 2] } else { motion(t_s) };
+            assert_eq!(seams_of_joints(&joints(600, lost)), [[0; 2]; 0]);
+        }
         let spiked = |t_s: f64| motion(t_s).map(|q| if t_s == 3.0 { q + 1.0 } else { q });
         assert_eq!(seams_of_joints(&joints(600, spiked)), [[0; 2]; 0]);
     }

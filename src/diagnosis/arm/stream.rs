@@ -69,10 +69,11 @@ impl PoseDiagnosis {
             held_out.is_none_or(|held_out| held_out.is_lower())
         };
         let StreamHeldOut { latency, skew, radial_scale, reference, tool } = &self.held_out;
-        let is_late = |latency: &Measured| latency.value.abs() > latency.half_width(0.95);
-        if self.latency_s.as_ref().is_ok_and(is_late) && !is_lower(latency) {
+        if let Ok(found) = &mut self.latency_s
+            && !is_lower(latency)
+        {
             // It imitates an error of the model.
-            self.latency_s = Err(NotObservable::NotExcited);
+            found.std_error = found.std_error.max(found.value.abs());
         }
         // Link deviations cause larger errors than small skews.
         self.is_skew_chosen &= self.is_nominal || is_lower(skew);

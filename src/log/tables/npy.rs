@@ -94,9 +94,9 @@ pub(super) fn single_numbers(bytes: &[u8]) -> Option<Vec<f64>> {
 pub(crate) fn rows_of_numbers(bytes: &[u8]) -> Option<Vec<Vec<f64>>> {
     let (header, data) = bytes.starts_with(MAGIC).then(|| parse_header(bytes).ok()).flatten()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
-    let (rows, width) = match header.shape.as_slice() {
-        &[rows] => (rows, 1),
-        &[rows, width] => (rows, width),
+    let (rows, width) = match *header.shape.as_slice() {
+        [rows] => (rows, 1),
+        [rows, width] => (rows, width),
         _ => return None,
     };
     let numbers: Vec<f64> = data

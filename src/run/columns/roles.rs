@@ -139,13 +139,6 @@ impl ColumnSearch<'_> {
             Some(_) => Default::default(),
             None => self.further_positions((best, &mapping), mappings, wanted),
         };
-        /// Residual of a desired position, relative to the measured one's; not calibrated.
-        const MIN_RESIDUAL_RATIO: f64 = 10.0;
-        let is_far_from_fk = |other: &[usize; 3]| {
-            let is_it = |it: &&ColumnMapping| it.joints == best.joints && it.position == *other;
-            let found = mappings.iter().find(is_it);
-            found.is_some_and(|it| it.residual_m > MIN_RESIDUAL_RATIO * best.residual_m)
-        };
         for (other, shift) in same {
             match shift {
                 shift if shift.residual < 1e-9 && shift.delay_s == 0.0 => {
@@ -158,10 +151,6 @@ impl ColumnSearch<'_> {
                 }
                 shift if shift.delay_s < -min_lead_s => {
                     pose_commands = Some((other, -shift.delay_s));
-                }
-                _ if is_far_from_fk(&other) => {
-                    let why = format!("close to {}, but not FK of the joints", name(&position));
-                    others.push((other.to_vec(), why));
                 }
                 _ => {
                     let with = |position: [usize; 3]| {
