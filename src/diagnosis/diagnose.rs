@@ -15,12 +15,14 @@ use crate::compliance::{
     diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
     has_unusual_compliance,
 };
+use crate::encodings::decoded_stream::max_angle;
+use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::latency::compensation::{CompensatedRun, with_tracks};
 use crate::residuals::comparison::{has_large_residual, has_slow_residual, residual_m};
 use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{ArmDiagnosis, JointCompliance, JointDiagnosis, PoseDiagnosis, PoseStream};
-use ground::stream::JointTrack;
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Diagnoses an arm's joint states and pose streams. `max_lag_s` is the largest latency to search.
 pub fn diagnose_run(
@@ -30,8 +32,32 @@ pub fn diagnose_run(
     max_lag_s: f64,
 ) -> ArmDiagnosis {
     let run = ArmRun { joints, streams, is_prismatic, max_lag_s };
-    let together = diagnose_together(&run);
-    diagnose_without_derived(&run, &together).unwrap_or(together)
+    let found = diagnose_all(&run);
+    let tracks: Vec<Option<PoseTrack>> =
+        streams.iter().zip(&found.streams).map(without_constant_orientation).collect();
+    if tracks.iter().all(Option::is_none) {
+        return found;
+    }
+    diagnose_all(&ArmRun { streams: &with_tracks(streams, &tracks), ..run })
+}
+
+fn diagnose_all(run: &ArmRun) -> ArmDiagnosis {
+    let together = diagnose_together(run);
+    diagnose_without_derived(run, &together).unwrap_or(together)
+}
+
+/// Positions alone, if neither the arm nor a fault of its joints explains constant orientations: they were never set.
+fn without_constant_orientation(
+    (stream, found): (&PoseStream, &PoseDiagnosis),
+) -> Option<PoseTrack> {
+    const MAX_CHANGE_RAD: f64 = 1e-3;
+    let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
+    let is_explained = found.encoding.is_ok()
+        && found.residual.as_ref().is_ok_and(|it| it.rms_rad < MAX_ENCODING_RESIDUAL_RAD);
+    (!is_explained && max_angle(rotations) < MAX_CHANGE_RAD).then(|| PoseTrack {
+        orientation: Orientations::Unset(rotations.len()),
+        ..stream.track.clone()
+    })
 }
 
 /// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros or
@@ -153,7 +179,6 @@ mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
     use ground::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
     use std::f64::consts::FRAC_PI_2;
 
     /// Of poses with noise. A controller computes its poses from the encoders, with its own calibration; a tracker in an

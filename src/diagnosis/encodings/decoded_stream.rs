@@ -242,7 +242,7 @@ fn turn_rad(orientation: &Orientations) -> f64 {
 }
 
 /// rad, from the first rotation.
-fn max_angle(rotations: &[Rotation]) -> f64 {
+pub(crate) fn max_angle(rotations: &[Rotation]) -> f64 {
     let from = rotations.first().copied().unwrap_or_default();
     rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }

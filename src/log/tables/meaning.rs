@@ -219,8 +219,6 @@ fn further_clock<'a>(
 /// Joint positions beyond two turns are not in rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
-const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
-
 /// Converts each joint to rad if their names give different units.
 fn convert_mixed_angles(table: &Table, group: &mut ColumnGroup) {
     let ColumnMeaning::Joints { lines, .. } = &mut group.meaning else { return };
@@ -844,7 +842,7 @@ fn unit_by_name(words: &[String]) -> Option<AngleUnit> {
     if has(names::DEGREE_WORDS) {
         return Some(AngleUnit::Degree);
     }
-    has(RADIAN_WORDS).then_some(AngleUnit::Radian)
+    has(names::RADIAN_WORDS).then_some(AngleUnit::Radian)
 }
 
 fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
@@ -858,13 +856,27 @@ fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     }
 }
 
-/// Joins a position with the rotation of the same name.
+/// Joins each position with the rotation of the same name, then with one whose name states no frame: `pos_w` and `quat`.
 fn join_pose_parts(table: &Table, groups: &mut [ColumnGroup]) {
+    const WORLD: &str = "w";
+    let without_world =
+        |key: &[String]| key.iter().filter(|word| *word != WORLD).cloned().collect::<Vec<_>>();
+    join_parts_of(table, groups, &|key| key.to_vec());
+    join_parts_of(table, groups, &without_world);
+}
+
+/// Joins parts with the same words.
+fn join_parts_of(
+    table: &Table,
+    groups: &mut [ColumnGroup],
+    words: &dyn Fn(&[String]) -> Vec<String>,
+) {
     for at in 0..groups.len() {
         let Some((home, key, PosePart::Position)) = groups[at].part.clone() else { continue };
+        let key = words(&key);
         let is_turn = |group: &ColumnGroup| {
             group.part.as_ref().is_some_and(|(own_home, own, part)| {
-                *own_home == home && *own == key && *part != PosePart::Position
+                *own_home == home && words(own) == key && *part != PosePart::Position
             })
         };
         let turns = (0..groups.len()).filter(|&other| is_turn(&groups[other]));
@@ -1073,7 +1085,7 @@ impl ColumnGroup {
                 };
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
                 let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
-                let are_radians = || in_words(RADIAN_WORDS) || are_rates_in_radians(&joints);
+                let are_radians = || in_words(names::RADIAN_WORDS) || are_rates_in_radians(&joints);
                 if in_words(names::DEGREE_WORDS) || (are_degrees && !are_radians()) {
                     joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
                 }
@@ -1092,7 +1104,7 @@ impl ColumnGroup {
                     let says_rad = |cell: &&Cell| {
                         names::split_words(name(table, **cell))
                             .iter()
-                            .any(|word| RADIAN_WORDS.contains(&word.as_str()))
+                            .any(|word| names::RADIAN_WORDS.contains(&word.as_str()))
                     };
                     contradiction = cells.iter().find(says_rad).map(|&cell| {
                         let name = name(table, cell);

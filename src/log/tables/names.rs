@@ -29,6 +29,8 @@ pub(super) fn is_joints_or_pose(name: &str) -> bool {
 
 pub(super) const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees", "grad", "grados"];
 
+pub(super) const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
+
 pub(super) fn says_degrees(name: &str) -> bool {
     name.contains('°') || contains_any(&split_words(name), DEGREE_WORDS)
 }
@@ -487,17 +489,23 @@ fn is_position(words: &[String]) -> bool {
 }
 
 /// Whether a name states positions, and another the velocities of the same, as `act_pos_se_deg` and
-/// `act_vel_se_deg_per_s`. Names of poses have words for the tool.
+/// `act_vel_se_deg_per_s`. If they say of what, as `base_position` does, they also state that they are angles.
 pub(super) fn are_position_and_velocity(words: &[String], others: &[String]) -> bool {
     let is_command = |word: &String| COMMAND_WORDS.contains(&word.as_str());
     let shared = |words: &[String]| -> Vec<String> {
         shared_words(words).into_iter().filter(|word| !is_command(word)).collect()
+    };
+    let are_angles = || {
+        [words, others]
+            .iter()
+            .all(|words| contains_any(words, DEGREE_WORDS) || contains_any(words, RADIAN_WORDS))
     };
     is_position(words)
         && !is_pose(words)
         && !is_gripper(words)
         && is_joint_velocities(others)
         && shared(words) == shared(others)
+        && (shared(words).is_empty() || are_angles())
 }
 
 /// `qd` can mean desired positions or velocities.
@@ -774,7 +782,7 @@ fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
         POSITION_WORDS.contains(&word)
             || ROTATION_WORDS.contains(&word)
             || UNIT_WORDS.contains(&word)
-            || ["q", "r", "matrix", "mat", "wxyz", "xyzw", "w"].contains(&word)
+            || ["q", "r", "matrix", "mat", "wxyz", "xyzw"].contains(&word)
     };
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
