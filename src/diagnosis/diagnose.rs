@@ -176,8 +176,8 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_motion;
     use crate::test_random::Lcg;
+    use crate::{NotObservable, test_motion};
     use ground::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
     use std::f64::consts::FRAC_PI_2;
 
@@ -328,5 +328,24 @@ mod tests {
         let encoding = found.streams[0].encoding.as_ref().expect("an encoding");
         assert!(encoding.as_logged_rad.is_some_and(|rad| rad < 8e-3), "{encoding:?}");
         assert!(!encoding.best.is_as_logged(), "{encoding:?}");
+    }
+
+    /// A position sensor that fills in one orientation, with noise.
+    #[test]
+    fn a_constant_orientation_that_nothing_explains_is_not_set() {
+        let (joints, chain) = test_motion::arm();
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).map(|q| {
+            let noise = rotation_from_rotvec(random.triple(2e-5).into());
+            (chain.forward(q).translation.vector + Vec3::from(random.triple(2e-5)), noise)
+        });
+        let (xyz, rotations) = poses.unzip();
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let streams = [test_motion::tip_stream(&track, &chain)];
+        let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
+        let stream = &found.streams[0];
+        assert!(matches!(stream.encoding, Err(NotObservable::OrientationNotSet)));
+        assert!(stream.residual.as_ref().expect("a residual").rms_m < 1e-4);
     }
 }

@@ -1003,6 +1003,50 @@ fn a_hand_s_position_and_quaternion_are_a_pose_of_that_order() {
 }
 
 #[test]
+fn poses_in_two_frames_keep_their_own_rotations() {
+    let record = |row: usize| {
+        let a = 0.05 * row as f64;
+        let [w, x] = [(0.5 * a).cos(), (0.5 * a).sin()];
+        format!(
+            r#"{{"time":{a},"ee_pos":[{a},1,2],"ee_quat":[{w},{x},0,0],"ee_pos_w":[{a},3,4],"ee_quat_w":[0,{w},{x},0]}}"#
+        )
+    };
+    let text = (0..40).map(record).collect::<Vec<_>>().join(",\n");
+    let log = plain(format!("[{text}]").as_bytes());
+    for (name, rotation) in [("ee_pos", "ee_quat[0]"), ("ee_pos_w", "ee_quat_w[0]")] {
+        assert_eq!(topic(&log, name).cells[3].name, rotation, "{name}");
+    }
+}
+
+#[test]
+fn positions_with_velocities_are_joints_only_if_they_are_angles() {
+    let record = |names: [&str; 2]| {
+        let row = |row: usize| {
+            let a = 0.05 * row as f64;
+            let six = |from: f64| {
+                let numbers = (0..6).map(|at| (a + from + f64::from(at)).sin().to_string());
+                format!("[{}]", numbers.collect::<Vec<_>>().join(","))
+            };
+            let [first, second] = names;
+            format!(
+                r#"{{"time":{a},"{first}":{},"{second}":{},"q":{}}}"#,
+                six(0.0),
+                six(1.6),
+                six(3.0)
+            )
+        };
+        format!("[{}]", (0..40).map(row).collect::<Vec<_>>().join(",\n"))
+    };
+    let is_joints = |names: [&str; 2]| {
+        let log = plain(record(names).as_bytes());
+        let own = log.topics.iter().find(|topic| topic.name == names[0]);
+        own.is_some_and(|topic| matches!(topic.columns, Some(Columns::Joints(_))))
+    };
+    assert!(is_joints(["act_pos_se_deg", "act_vel_se_deg_per_s"]));
+    assert!(!is_joints(["base_position", "base_velocity"]));
+}
+
+#[test]
 fn rows_that_repeat_with_their_stamp_hide_no_clock() {
     // Every ninth row is a copy of the one before.
     let source = |row: usize| row - row.div_ceil(9);
