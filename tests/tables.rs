@@ -641,16 +641,3 @@ fn a_vibration_that_the_poses_show_is_no_noise() {
     let rms_m = residual.estimate.as_ref().and_then(|estimate| estimate.value()).expect("a value");
     assert!(rms_m < 1e-5, "{rms_m}");
 }
-
-/// Nobody declared degrees: the reader assumes them.
-#[test]
-fn radians_beyond_two_turns_are_no_fault() {
-    let mut rows = CLEAN.rows();
-    rows.iter_mut().for_each(|row| row[JOINTS] += 3.0 * TAU);
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("run.csv");
-    write_columns(&path, "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw", &rows, 1..14);
-    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
-    let codes = fault_codes(&report);
-    assert!(codes.iter().all(|code| *code == "MOT003"), "{:?}", report.findings);
-}

@@ -48,10 +48,6 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let topic = arm.topic(&arm.joints_topic);
     let joints = match arm.diagnosis.reported_encoding() {
         Err(why) => vec![SubjectResult::new(topic, not_observable(why, "also log a pose or /tf"))],
-        Ok(_) if arm.is_in_degrees_by_magnitude && arm.radians_as_degrees().is_some() => {
-            let why = "positions beyond two turns were read as degrees, but they are radians";
-            vec![SubjectResult::new(topic, Outcome::pass_with_remark(why))]
-        }
         Ok(_) if let Some(residuals) = arm.radians_as_degrees() => {
             let declared = AssumedUnit::Declared(AngleUnit::Degree);
             vec![judge(arm, topic, Some(residuals), Unit::Metre, declared)]
