@@ -41,6 +41,8 @@ const ORDER_PRICE: f64 = 1.5;
 const MIRROR_PRICE: f64 = 1.2;
 /// Share of their extent.
 const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
+/// All subsets of as many joints are tried.
+const MAX_SUBSET_JOINTS: usize = 10;
 /// For a scale that is not round, and per joint beyond the model's limits.
 const ODD_SCALE_PRICE: f64 = 0.5;
 const BEYOND_LIMIT_PRICE: f64 = 0.25;
@@ -306,10 +308,8 @@ fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
 
 /// Reversing all joints is one cause.
 fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
-    /// Exhaustive search over signs.
-    const MAX_SIGNED_JOINTS: usize = 10;
     let moving = moving_joints(view, base);
-    if moving.len() > MAX_SIGNED_JOINTS {
+    if moving.len() > MAX_SUBSET_JOINTS {
         return Vec::new();
     }
     let flipped = |signs: u32| {
@@ -337,7 +337,7 @@ fn subsets_in_degrees(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProp
         |joint: &usize| view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD);
     let turning = (0..kinds.len()).filter(|joint| kinds[*joint] != JointKind::Prismatic);
     let (far, near): (Vec<usize>, Vec<usize>) = turning.partition(is_far);
-    if far.is_empty() {
+    if far.is_empty() || near.len() > MAX_SUBSET_JOINTS {
         return Vec::new();
     }
     let subset = |chosen: u32| {
