@@ -29,7 +29,7 @@ pub struct Segment {
 pub enum Cut {
     /// All clocks restart.
     Restart,
-    /// A table continues elsewhere ([`super::seams`]).
+    /// A table without times continues with another recording.
     Seam,
 }
 
