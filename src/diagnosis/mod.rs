@@ -42,6 +42,8 @@
 //!    numbers starts here.
 //! 8. If some streams are FK of the recorded joint states, and another is not explained or is seen from outside and shows a
 //!    joint zero or compliance, the joints are diagnosed by the others.
+//! 9. If neither the arm nor a fault of its joints explains a constant orientation, it was never set: the run is diagnosed
+//!    again with the positions alone.
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
 //! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.

@@ -1,6 +1,6 @@
-//! Rows at which a table without times continues with another recording, or after rows that are missing.
+//! Seams: another recording follows in a table without times, or rows are missing.
 //!
-//! Its stamps are generated, so the jump there takes one row, and looks like a motion.
+//! The stamps are generated, so the joints jump within one row, and that looks like a motion.
 
 use std::ops::Range;
 
@@ -22,8 +22,8 @@ pub(super) fn seams(log: &Log) -> Vec<[i64; 2]> {
     joints.map(seams_of_joints).max_by_key(Vec::len).unwrap_or_default()
 }
 
-/// Most joints jump at a seam, at least two, and both parts are recordings. After rows that repeat exactly, a driver that had
-/// stopped continues.
+/// Half of the moving joints jump at a seam, at least two, and both parts are recordings. After rows that repeat exactly, a
+/// driver that had stopped continues.
 fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
     let rows = joints.times.len();
     let mut jumping = vec![0_usize; rows];
@@ -54,10 +54,10 @@ fn seams_of_joints(joints: &JointColumns) -> Vec<[i64; 2]> {
     seams.map(|row| [received[row - 1], received[row]]).collect()
 }
 
-/// Of a recording.
+/// Rows of a recording, and steps of a motion; not calibrated, as the ratios below.
 const MIN_STEPS: usize = 50;
 
-/// Rows to which a joint jumps. `None` if it moves little.
+/// The row after each jump of a joint. `None` if it moves little.
 fn jumps(joint: &JointColumn) -> Option<Vec<usize>> {
     /// Of the steps of a motion.
     const USUAL_QUANTILE: f64 = 0.99;

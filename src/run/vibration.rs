@@ -17,9 +17,9 @@ use crate::stream::{JointTrack, Orientations};
 pub(super) fn follow_recorded_positions(run: &mut Run) {
     for index in 0..run.arms.len() {
         let arm = &run.arms[index];
-        let has_smoothed = arm.recorded_joints.is_none() && arm.poses.iter().any(is_comparable);
+        let may_follow = arm.recorded_joints.is_none() && arm.poses.iter().any(is_comparable);
         let recorded =
-            has_smoothed.then(|| recorded_track(arm, &run.joint_samples(&arm.joint_sources)));
+            may_follow.then(|| recorded_track(arm, &run.joint_samples(&arm.joint_sources)));
         let Some(recorded) = recorded.flatten() else { continue };
         if arm.poses.iter().any(|source| follows(source, &recorded, &arm.joints)) {
             run.arms[index].joints = Arc::new(recorded);
@@ -64,7 +64,7 @@ fn recorded_track(arm: &Arm, samples: &[JointSamples<'_>]) -> Option<JointTrack>
 
 /// Whether the tool turns from row to row as by one track, and not as by the other.
 fn follows(source: &PoseSource, track: &JointTrack, other: &JointTrack) -> bool {
-    /// The other one's turns differ by the vibration.
+    /// Of the differences in turns; not calibrated. Those of the other track contain the vibration.
     const MAX_RATIO: f64 = 0.5;
     const MAX_ROWS: usize = 2000;
     const MIN_ROWS: usize = 20;

@@ -10,7 +10,7 @@ rule! {
     ///
     /// ## What it means
     /// One, some or all joints are in degrees instead of radians (REP 103). Or all joints are in radians although
-    /// column names or `--columns` say degrees. Or the declared unit of rotation numbers is wrong, either
+    /// column names or `--columns` state degrees. Or the declared unit of rotation numbers is wrong, either
     /// way. Undeclared numbers cannot have a wrong unit; ORD001 reports the unit assumed for them. Or an
     /// IMU's angular velocity is in degrees per second.
     ///

@@ -645,7 +645,7 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     }
 }
 
-/// They must be much closer to the positions than to their rates, also if these are in rad/s beside degrees.
+/// They must be much closer to the positions than to their rates, in either unit of angles.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
     let value = |row: usize, cell: &Cell| {
@@ -1156,7 +1156,7 @@ impl ColumnGroup {
     }
 }
 
-/// Whether velocities are in rad/s beside positions in degrees: 57 times smaller than the rates of these.
+/// Whether positions are in degrees and velocities in rad/s, 57 times smaller than the rates of the positions.
 fn are_rates_in_radians(joints: &JointColumns) -> bool {
     /// To the rates in rad/s.
     const RATIO: std::ops::Range<f64> = 0.5..2.0;

@@ -84,31 +84,34 @@ fn half_to_f64(bits: u16) -> f64 {
     if bits >> 15 == 1 { -size } else { size }
 }
 
-/// Numbers of an array with one dimension. `None` if it is none.
+/// Numbers of an array with one dimension. `None` for other arrays.
 pub(super) fn single_numbers(bytes: &[u8]) -> Option<Vec<f64>> {
-    let rows = rows_of_numbers(bytes)?;
-    rows.iter().all(|row| row.len() == 1).then(|| rows.concat())
+    let (header, kind, data) = plain_array(bytes)?;
+    let ([rows] | [rows, 1]) = header.shape.as_slice() else { return None };
+    Some(data.chunks_exact(kind.size).take(*rows).map(|bytes| kind.read(bytes)).collect())
 }
 
-/// Rows of an array of numbers with up to two dimensions. `None` if it is none.
+/// Rows of a two-dimensional array. `None` for other arrays, and if it is truncated.
 pub(crate) fn rows_of_numbers(bytes: &[u8]) -> Option<Vec<Vec<f64>>> {
+    let (header, kind, data) = plain_array(bytes)?;
+    let [rows, width] = *header.shape.as_slice() else { return None };
+    let count = rows.checked_mul(width).filter(|count| *count > 0)?;
+    let numbers: Vec<f64> =
+        data.chunks_exact(kind.size).take(count).map(|bytes| kind.read(bytes)).collect();
+    let at = |row: usize, column: usize| match header.is_fortran {
+        true => column * rows + row,
+        false => row * width + column,
+    };
+    let row = |row: usize| (0..width).map(|column| numbers[at(row, column)]).collect();
+    (numbers.len() == count).then(|| (0..rows).map(row).collect())
+}
+
+/// An array of one type of numbers, without fields.
+fn plain_array(bytes: &[u8]) -> Option<(Header, ElementType, &[u8])> {
     let (header, data) = bytes.starts_with(MAGIC).then(|| parse_header(bytes).ok()).flatten()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
-    let (rows, width) = match *header.shape.as_slice() {
-        [rows] => (rows, 1),
-        [rows, width] => (rows, width),
-        _ => return None,
-    };
-    let numbers: Vec<f64> = data
-        .chunks_exact(kind.size)
-        .take(rows.checked_mul(width)?)
-        .map(|it| kind.read(it))
-        .collect();
-    let at = |row: usize, column: usize| match header.is_fortran {
-        true => numbers.get(column * rows + row).copied(),
-        false => numbers.get(row * width + column).copied(),
-    };
-    (0..rows).map(|row| (0..width).map(|column| at(row, column)).collect()).collect()
+    let kind = *kind;
+    Some((header, kind, data))
 }
 
 /// Each field has a name, a type, an offset in a row and a width.
