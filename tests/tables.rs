@@ -641,3 +641,35 @@ fn a_vibration_that_the_poses_show_is_no_noise() {
     let rms_m = residual.estimate.as_ref().and_then(|estimate| estimate.value()).expect("a value");
     assert!(rms_m < 1e-5, "{rms_m}");
 }
+
+#[test]
+fn recordings_of_equal_length_in_one_table_are_segments() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut rows = CLEAN.rows();
+    rows.iter_mut().enumerate().for_each(|(at, row)| row[0] = (at % 500) as f64 * STEP_S);
+    let path = folder.path().join("run.csv");
+    write_columns(&path, "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw", &rows, 1..14);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let is_of_segments =
+        |row: &poseaudit::report::NoteRow| row.note.contains("Audited in 3 segments");
+    assert!(report.log.notes.iter().any(is_of_segments), "{:?}", report.log.notes);
+    assert_eq!(fault_codes(&report), [""; 0]);
+}
+
+#[test]
+fn a_clock_that_is_set_back_within_a_table_is_a_finding() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut rows = CLEAN.rows();
+    rows.iter_mut().skip(700).for_each(|row| row[0] -= 0.5);
+    let path = folder.path().join("run.csv");
+    write_columns(&path, "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw", &rows, 1..14);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let found = report.findings.iter().find(|finding| finding.code == "TIM001");
+    let by_s = found.and_then(|found| found.estimate.as_ref()?.value());
+    assert!((by_s.expect("stamps step back") - 0.48).abs() < 1e-6, "{:?}", report.findings);
+    assert!(
+        !fault_codes(&report).iter().any(|code| code.starts_with("MOT")),
+        "{:?}",
+        report.findings
+    );
+}

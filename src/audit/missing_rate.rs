@@ -110,7 +110,14 @@ fn may_be_configurations(log: &Log, layouts: &[FileLayout]) -> bool {
     let has_joints = |layout: &RowLayout| {
         layout.items().iter().any(|item| item.meaning == Meaning::Joints && !item.is_command)
     };
-    layouts.iter().all(|own| has_joints(&own.layout))
+    let has_position = |layout: &RowLayout| {
+        layout.items().iter().any(|item| {
+            matches!(item.meaning, Meaning::Axis(0) | Meaning::Matrix | Meaning::Vendor(_))
+                && !item.is_command
+        })
+    };
+    layouts.iter().any(|own| has_joints(&own.layout))
+        && layouts.iter().any(|own| has_position(&own.layout))
         && log.files.iter().all(|file| file.container == Container::Csv)
 }
 

@@ -299,6 +299,7 @@ fn clean_stream() -> PoseDiagnosis {
         skew: Ok(precise(0.0)),
         is_skew_chosen: false,
         latency_profile: Ok(steady()),
+        unconfirmed_latency: None,
         radial_scale: Ok(precise(0.0)),
         is_radial_scale_chosen: false,
         reference: Ok(frame(0.0)),

@@ -15,13 +15,18 @@ use crate::compliance::{
     diagnose_gain_as_compliance, diagnose_with_compliance, diagnose_with_gain,
     has_unusual_compliance,
 };
-use crate::encodings::decoded_stream::max_angle;
+use crate::encodings::decoded_stream::{MIN_TURN_RAD, max_angle};
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
-use crate::latency::compensation::{CompensatedRun, with_tracks};
+use crate::latency::compensation::{CompensatedRun, with_stamps, with_tracks};
 use crate::residuals::comparison::{has_large_residual, has_slow_residual, residual_m};
+use crate::samples::sampling::slow_samples;
 use crate::selection::evidence::{fits_as_well, likeliest};
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
-use crate::{ArmDiagnosis, JointCompliance, JointDiagnosis, PoseDiagnosis, PoseStream};
+use crate::{
+    ArmDiagnosis, EstimateResult, JointCompliance, JointDiagnosis, LatencyProfile, PoseDiagnosis,
+    PoseStream,
+};
+use ground::geometry::Rotation;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Diagnoses an arm's joint states and pose streams. `max_lag_s` is the largest latency to search.
@@ -33,8 +38,9 @@ pub fn diagnose_run(
 ) -> ArmDiagnosis {
     let run = ArmRun { joints, streams, is_prismatic, max_lag_s };
     let found = diagnose_all(&run);
+    let both = streams.iter().zip(&found.streams);
     let tracks: Vec<Option<PoseTrack>> =
-        streams.iter().zip(&found.streams).map(without_constant_orientation).collect();
+        both.map(|both| without_constant_orientation(joints, both)).collect();
     if tracks.iter().all(Option::is_none) {
         return found;
     }
@@ -46,18 +52,24 @@ fn diagnose_all(run: &ArmRun) -> ArmDiagnosis {
     diagnose_without_derived(run, &together).unwrap_or(together)
 }
 
-/// Positions alone, if neither the arm nor a fault of its joints explains constant orientations: they were never set.
+/// Positions alone, if the orientations are constant, the joints turn the tool, and neither the arm nor a fault of its
+/// joints explains that: they were never set.
 fn without_constant_orientation(
+    joints: &JointTrack,
     (stream, found): (&PoseStream, &PoseDiagnosis),
 ) -> Option<PoseTrack> {
     const MAX_CHANGE_RAD: f64 = 1e-3;
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let is_explained = found.encoding.is_ok()
         && found.residual.as_ref().is_ok_and(|it| it.rms_rad < MAX_ENCODING_RESIDUAL_RAD);
-    (!is_explained && max_angle(rotations) < MAX_CHANGE_RAD).then(|| PoseTrack {
-        orientation: Orientations::Unset(rotations.len()),
-        ..stream.track.clone()
-    })
+    if is_explained || max_angle(rotations) >= MAX_CHANGE_RAD {
+        return None;
+    }
+    let PoseStream { chain, columns, track, .. } = *stream;
+    let (_, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let by_fk: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
+    (max_angle(&by_fk) > MIN_TURN_RAD)
+        .then(|| PoseTrack { orientation: Orientations::Unset(rotations.len()), ..track.clone() })
 }
 
 /// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros or
@@ -124,15 +136,66 @@ fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
 
 /// Diagnosis with one encoding throughout the run.
 fn diagnose_uniform(run: &ArmRun) -> ArmDiagnosis {
-    let CompensatedRun { tracks, profiles, diagnosis } = CompensatedRun::new(run);
+    let CompensatedRun { tracks, mut profiles, diagnosis } = CompensatedRun::new(run);
     let streams = with_tracks(run.streams, &tracks);
     let run = ArmRun { streams: &streams, ..*run };
     let mut diagnosis = diagnose_with_varying_causes(&run, &diagnosis).unwrap_or(diagnosis);
+    if let Some((compensated, found)) = diagnose_with_hidden_latency(&run, &diagnosis, &profiles) {
+        (diagnosis, profiles) = (compensated, found);
+    }
     run.restore_eccentricity(&mut diagnosis);
     for (stream, profile) in diagnosis.streams.iter_mut().zip(profiles) {
         stream.latency_profile = profile;
     }
     diagnosis
+}
+
+/// Diagnosis after compensating latencies that another cause hides, with the latencies over the run: they vary once the
+/// changes in `found` are removed, or do not explain most of the residual on their own. `None` if there are none, or it is
+/// not likelier.
+fn diagnose_with_hidden_latency(
+    run: &ArmRun,
+    found: &ArmDiagnosis,
+    profiles: &[EstimateResult<LatencyProfile>],
+) -> Option<(ArmDiagnosis, Vec<EstimateResult<LatencyProfile>>)> {
+    let is_open = !found.is_explained(run.streams);
+    let hidden = found.streams.iter().zip(profiles).map(|(found, before)| {
+        let is_known = before.as_ref().is_ok_and(|before| before.is_unsteady);
+        let confirmed = found.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
+        let unconfirmed = found.unconfirmed_latency.as_ref().filter(|_| is_open);
+        let profile = confirmed.or(unconfirmed).filter(|_| !is_known)?;
+        Some(LatencyProfile { is_unsteady: true, ..profile.clone() })
+    });
+    let hidden: Vec<Option<LatencyProfile>> = hidden.collect();
+    if hidden.iter().all(Option::is_none) {
+        return None;
+    }
+    let tracks = run.streams.iter().zip(&hidden);
+    let tracks: Vec<Option<PoseTrack>> = tracks
+        .map(|(stream, profile)| {
+            Some(with_stamps(stream, &profile.as_ref()?.compensated(&stream.track.t_s)))
+        })
+        .collect();
+    let compensated = ArmRun { streams: &with_tracks(run.streams, &tracks), ..*run };
+    let constant = compensated.diagnose();
+    let diagnosis = diagnose_with_varying_causes(&compensated, &constant).unwrap_or(constant);
+    let is_likelier = match is_open {
+        true => is_enough(&diagnosis, found, run.streams),
+        false => residual_m(&diagnosis) < residual_m(found),
+    };
+    let profile = |(s, hidden): (usize, Option<LatencyProfile>)| match hidden {
+        Some(own) => Ok(own.relative_to_typical(&run.streams[s].track.t_s)),
+        None => profiles[s].clone(),
+    };
+    is_likelier.then(|| (diagnosis, hidden.into_iter().enumerate().map(profile).collect()))
+}
+
+/// Whether a diagnosis explains the residual of another, or most of it.
+fn is_enough(diagnosis: &ArmDiagnosis, other: &ArmDiagnosis, streams: &[PoseStream]) -> bool {
+    /// Of the residual, as between two interpretations of the joint states.
+    const MAX_RESIDUAL_SHARE: f64 = 0.5;
+    diagnosis.is_explained(streams)
+        || residual_m(diagnosis) < MAX_RESIDUAL_SHARE * residual_m(other)
 }
 
 /// Diagnosis with joint compliance, scales and couplings of joints, or changes of causes. `None` if `constant` is likelier.
@@ -143,17 +206,12 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
         !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
     };
     let is_explained = |it: &ArmDiagnosis| it.is_explained(run.streams);
-    /// Of the residual, as between two interpretations of the joint states.
-    const MAX_RESIDUAL_SHARE: f64 = 0.5;
-    let is_enough = |it: &ArmDiagnosis| {
-        is_explained(it) || residual_m(it) < MAX_RESIDUAL_SHARE * residual_m(constant)
-    };
     let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
         has_large_residual(found) && !changes::is_explained(found, stream)
     };
     let is_any_open = constant.streams.iter().zip(run.streams).any(is_open);
     let by_gain = is_any_open.then(|| diagnose_with_gain(run, constant)).flatten();
-    let by_gain = by_gain.filter(is_enough);
+    let by_gain = by_gain.filter(|it| is_enough(it, constant, run.streams));
     let gain_as_compliance = diagnose_gain_as_compliance(run, by_gain.as_ref().unwrap_or(constant));
     let is_gain_explained = by_gain.as_ref().is_some_and(is_explained);
     let by_gain = by_gain.filter(|_| !is_gain_explained || gain_as_compliance.is_none());
@@ -302,6 +360,45 @@ mod tests {
         assert!(found.joints.changes.is_empty(), "{:?}", found.joints.changes);
     }
 
+    /// Neither explains most of the residual alone, and a skew fits the step roughly.
+    #[test]
+    fn a_step_of_the_latency_is_found_beside_a_tool_that_slips() {
+        const STEP_S: f64 = 0.03;
+        const SLIP_M: f64 = 7.5e-3;
+        const CHANGE_S: f64 = 9.0;
+        let (joints, chain) = test_motion::arm();
+        let deviating = test_motion::deviating_chain(1e-4);
+        let mut random = Lcg::new();
+        let (mut cursor, mut q, mut qd) = (0, [0.0; 6], [0.0; 6]);
+        let mut pose_at = |t_s: f64| {
+            let is_changed = t_s > CHANGE_S;
+            let late_s = if is_changed { STEP_S } else { 0.0 };
+            joints.at(t_s - late_s, &mut cursor, &mut q, &mut qd).then(|| {
+                let pose = deviating.forward(&q);
+                let slip_m = if is_changed { SLIP_M } else { 0.0 };
+                let slipped = pose.translation.vector + pose.rotation * Vec3::new(0.0, slip_m, 0.0);
+                let turn = rotation_from_rotvec(random.triple(1e-4).into());
+                (t_s, slipped + Vec3::from(random.triple(1e-4)), turn * pose.rotation)
+            })
+        };
+        let rows: Vec<_> = joints.t_s.iter().filter_map(|t_s| pose_at(*t_s)).collect();
+        let track = PoseTrack {
+            t_s: rows.iter().map(|row| row.0).collect(),
+            xyz: rows.iter().map(|row| row.1).collect(),
+            orientation: Orientations::Rotations(rows.iter().map(|row| row.2).collect()),
+            declared: None,
+        };
+        let stream =
+            PoseStream { reference_known: false, ..test_motion::tip_stream(&track, &chain) };
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
+        let found = &found.streams[0];
+        let profile = found.latency_profile.as_ref().expect("a profile");
+        assert!(profile.is_unsteady && !found.is_skew_chosen, "{profile:?}");
+        assert!((profile.swing_s.value - STEP_S).abs() < 2e-3, "{:?}", profile.swing_s);
+        let [slip] = found.tool_changes.as_slice() else { panic!("{:?}", found.tool_changes) };
+        assert!((slip.size.translation_m.value - SLIP_M).abs() < 5e-4, "{slip:?}");
+    }
+
     /// In a small motion, a misread rotation vector is within a calibration's deviations from FK. No joint zero explains it.
     #[test]
     fn a_small_misreading_is_no_deviation_of_the_arm() {
@@ -347,5 +444,28 @@ mod tests {
         let stream = &found.streams[0];
         assert!(matches!(stream.encoding, Err(NotObservable::OrientationNotSet)));
         assert!(stream.residual.as_ref().expect("a residual").rms_m < 1e-4);
+    }
+
+    #[test]
+    fn the_orientation_of_an_arm_at_rest_may_be_set() {
+        let (mut joints, chain) = test_motion::arm();
+        let first = joints.row(0).to_vec();
+        joints.q.chunks_mut(6).for_each(|row| row.copy_from_slice(&first));
+        joints.qd.fill(0.0);
+        let mut random = Lcg::new();
+        let tip = chain.forward(&first);
+        let rotations = joints
+            .t_s
+            .iter()
+            .map(|_| tip.rotation * rotation_from_rotvec(random.triple(2e-5).into()));
+        let track = PoseTrack {
+            xyz: vec![tip.translation.vector; joints.len()],
+            orientation: Orientations::Rotations(rotations.collect()),
+            t_s: joints.t_s.clone(),
+            declared: None,
+        };
+        let streams = [test_motion::tip_stream(&track, &chain)];
+        let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
+        assert!(!matches!(found.streams[0].encoding, Err(NotObservable::OrientationNotSet)));
     }
 }

@@ -448,6 +448,8 @@ pub struct PoseDiagnosis {
     pub is_skew_chosen: bool,
     /// Latency over the run.
     pub latency_profile: EstimateResult<LatencyProfile>,
+    /// Likeliest variation of the latency, if the residual does not confirm that it varies.
+    pub unconfirmed_latency: Option<LatencyProfile>,
     /// Radial scale error, m/m.
     pub radial_scale: EstimateResult<Measured>,
     /// Whether the model contains radial scale.

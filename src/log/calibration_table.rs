@@ -7,7 +7,7 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
-use super::tables::{LayoutGroup, LayoutTime, TableFormat, rows_of_numbers};
+use super::tables::{LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, rows_of_numbers};
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
     AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows, xyzw_from_rotation,
@@ -76,38 +76,69 @@ const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
 /// Points measured per row.
 const MAX_POINTS: usize = 64;
 
-/// Reads the table at `path`, by its layout in `settings` or by the names of its columns. `None` if it is a log or has no
-/// position columns.
+/// Reads the table at `path`, by its layout in `settings` or by the names of its columns. `None` if it is a log.
 ///
 /// # Errors
-/// If the file cannot be opened, or its layout does not fit.
+/// If the file cannot be opened, its layout does not fit, or it has no position columns.
 pub fn read_calibration_table(
     path: &Path,
     settings: &ColumnSettings,
 ) -> Result<Option<CalibrationTable>, LogError> {
-    Ok(read_named_numbers(path, settings)?.and_then(by_names))
+    let Some(numbers) = read_named_numbers(path, settings)? else { return Ok(None) };
+    let has_rate = settings.layout_of(path).is_some_and(|layout| layout.time() != LayoutTime::Open);
+    match by_names(numbers) {
+        None if !has_rate => Err(without_poses(path)),
+        table => Ok(table),
+    }
 }
 
-/// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else,
-/// or their rows do not correspond.
+fn without_poses(path: &Path) -> LogError {
+    LogError::Configurations {
+        path: path.to_owned(),
+        what: "its columns name no position of the tool".to_owned(),
+        remedy: "state the columns, as --columns 'q[6]:deg,xyz:mm' for one table, or as --columns 'JOINTS.csv=q[6]:deg' \
+                 --columns 'POSES.csv=xyz:mm' for two; each row is one configuration",
+    }
+}
+
+/// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else.
 ///
 /// # Errors
-/// Those of [`read_calibration_table`].
+/// Those of [`read_calibration_table`], and if their rows do not correspond.
 pub fn read_calibration_tables(
     paths: [&Path; 2],
     settings: &ColumnSettings,
 ) -> Result<Option<CalibrationTable>, LogError> {
-    let [one, other] = paths.map(|path| read_named_numbers(path, settings));
-    let (Some(one), Some(other)) = (one?, other?) else { return Ok(None) };
+    let [one, other] = paths.map(|path| Ok((path, read_named_numbers(path, settings)?)));
+    let ((first, Some(one)), (second, Some(other))) = (one?, other?) else { return Ok(None) };
     let has_poses = |table: &NumberTable| columns(&table.names).is_some();
-    let (mut joints, poses) = match (has_poses(&one), has_poses(&other)) {
-        (false, true) => (one, other),
-        (true, false) => (other, one),
-        _ => return Ok(None),
+    let ((joints_path, mut joints), (poses_path, poses)) =
+        match (has_poses(&one), has_poses(&other)) {
+            (false, true) => ((first, one), (second, other)),
+            (true, false) => ((second, other), (first, one)),
+            (false, false) => return Err(without_poses(first)),
+            (true, true) => return Ok(None),
+        };
+    let unusable = |path: &Path, what| LogError::Configurations {
+        path: path.to_owned(),
+        what,
+        remedy: "each row of one table must belong to the same row of the other",
     };
-    let is_whole = |table: &NumberTable| table.dropped.is_empty();
-    if joints.rows.len() != poses.rows.len() || !is_whole(&joints) || !is_whole(&poses) {
-        return Ok(None);
+    for (path, table) in [(joints_path, &joints), (poses_path, &poses)] {
+        if let Some(line) = table.dropped.first() {
+            let (lost, width) = (table.dropped.len(), table.width());
+            let what = format!(
+                "{lost} of its rows, the first in line {line}, do not hold {width} numbers"
+            );
+            return Err(unusable(path, what));
+        }
+    }
+    if joints.rows.len() != poses.rows.len() {
+        let [joints, poses] = [&joints, &poses].map(|table| table.rows.len());
+        return Err(unusable(
+            poses_path,
+            format!("it has {poses} rows, but the joints have {joints}"),
+        ));
     }
     if joints.names.is_empty() {
         joints.names = (1..=joints.width()).map(|joint| format!("q{joint}")).collect();
@@ -260,8 +291,9 @@ fn parse_numbers(bytes: &[u8], layout: Option<&RowLayout>) -> Option<NumberTable
         .split(|byte| *byte == b'\n')
         .find(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"#"))?;
     let count = |sign: u8| first.trim_ascii().iter().filter(|byte| **byte == sign).count();
-    let delimiter =
-        [b',', b';', b'\t', b' '].into_iter().max_by_key(|&sign| (count(sign), sign != b' '))?;
+    let delimiter = delimiter_of_numbers(bytes).or_else(|| {
+        [b',', b';', b'\t', b' '].into_iter().max_by_key(|&sign| (count(sign), sign != b' '))
+    })?;
     let mut reader = ReaderBuilder::new()
         .delimiter(delimiter)
         .trim(Trim::All)
@@ -492,8 +524,16 @@ mod tests {
             assert_eq!(table.positions, [[2, 3, 4]]);
             assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
         }
-        let few = write("few.txt", b"1 2\n");
-        assert_eq!(read(&few, &poses).unwrap(), None);
+        let why = |one: &Path| read(one, &poses).unwrap_err().to_string();
+        let few = why(&write("few.txt", b"1 2\n"));
+        assert!(few.contains("p.csv: it has 2 rows, but the joints have 1"), "{few}");
+        let lost = why(&write("lost.txt", b"1 2\n3\n"));
+        assert!(
+            lost.contains("1 of its rows, the first in line 2, do not hold 2 numbers"),
+            "{lost}"
+        );
+        let neither = read(&joints, &joints).unwrap_err().to_string();
+        assert!(neither.contains("its columns name no position"), "{neither}");
         assert_eq!(read(&poses, &poses).unwrap(), None);
     }
 
@@ -505,7 +545,8 @@ mod tests {
 
     #[test]
     fn joint_positions_need_no_names() {
-        for text in ["1,2e-1\n\n3,4\n", "# q\n1; 0,2\n3;4\n", "1  0.2\n3   4\n5 nan\n"] {
+        let spaced = "1,   0.2\n3,   4\n";
+        for text in ["1,2e-1\n\n3,4\n", spaced, "# q\n1; 0,2\n3;4\n", "1  0.2\n3   4\n5 nan\n"] {
             let table = parse_numbers(text.as_bytes(), None).unwrap();
             assert_eq!(table.rows, [[1.0, 0.2], [3.0, 4.0]], "{text:?}");
             assert_eq!(table.joints(&names(&["a", "b"])), Some(vec![0, 1]));

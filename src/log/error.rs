@@ -127,6 +127,16 @@ pub enum LogError {
         /// The contradiction.
         what: String,
     },
+    /// Rows of configurations that cannot be used.
+    #[error("{}: {what}; {remedy}", path.display())]
+    Configurations {
+        /// Path.
+        path: PathBuf,
+        /// Why.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
     /// KITTI poses without the times of their rows.
     #[error("{}: {what}; {POSE_TIMES_REMEDY}", path.display())]
     PoseTimes {

@@ -139,6 +139,7 @@ impl From<LogError> for Trouble {
             LogError::Layout { path, what } => {
                 (path, what, "correct --columns; `_` ignores a column (docs/datasets.md)")
             }
+            LogError::Configurations { path, what, remedy } => (path, what, remedy),
             LogError::PoseTimes { path, what } => (path, what, POSE_TIMES_REMEDY),
             LogError::Episodes { path, most } => (
                 path,

@@ -150,6 +150,9 @@ impl ModelRanking {
         );
         if let Some(next) = others.iter().find(|one| !is_near(one)) {
             words += &format!("; next best {}, within {}", names[next.model], next.describe());
+            if next.hypothesis.residual_m < best.hypothesis.residual_m {
+                words += ", which is less likely";
+            }
         }
         if !same.is_empty() {
             let same: Vec<String> = same

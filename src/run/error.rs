@@ -283,7 +283,8 @@ impl RunError {
             }
             Self::NoJointStates { is_of_tables: true, .. } => {
                 "record the joint positions in the same run, or name their columns with --columns \
-                 (docs/datasets.md)"
+                 (docs/datasets.md); to compare two streams of poses, state the encoding of both, as in \
+                 --declare TOPIC=rotvec,mm"
             }
             Self::NoJointStates { .. } => "record the topic /joint_states (sensor_msgs/JointState)",
             Self::NoSamples { .. } => "record the joint states of the whole arm",

@@ -16,17 +16,19 @@ use super::poses::StampedTrack;
 use super::sources::PoseSource;
 
 /// Minimum duration, s; slow sources repeat values for less.
-const MIN_DURATION_S: f64 = 0.25;
+pub(super) const MIN_DURATION_S: f64 = 0.25;
 /// Minimum number of periods, for the same reason.
-const MIN_PERIODS: usize = 10;
+pub(super) const MIN_PERIODS: usize = 10;
 /// Gaps longer than this end a span, s.
 const MAX_GAP_S: f64 = 1.0;
 /// Latency at which values near both ends may lie outside the joint states, s; such spans are not reported.
 const MAX_LATENCY_S: f64 = 1.0;
+/// Accuracy of a lag from speeds, s.
+pub(super) const LAG_ACCURACY_S: f64 = 0.1;
 /// Maximum motion of a joint at rest, rad or m.
-const MAX_REST_MOTION: f64 = 5e-3;
+pub(super) const MAX_REST_MOTION: f64 = 5e-3;
 /// The same as a share of the joint's range.
-const MAX_REST_SHARE: f64 = 0.01;
+pub(super) const MAX_REST_SHARE: f64 = 0.01;
 
 /// A span with one repeated value while the arm moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,8 +43,8 @@ pub struct FrozenSpan {
     pub samples: usize,
     /// Whether the stream has no other value.
     pub is_whole_stream: bool,
-    /// Motion of the fastest joint, rad or m: the minimum over possible latencies.
-    pub joint_motion: f64,
+    /// Motion of the fastest joint, rad or m: the minimum over possible latencies. `None` if the joint states are frozen to the end.
+    pub joint_motion: Option<f64>,
 }
 
 /// Removes repeats while the arm moves, except the first of each value, and returns the spans. `columns`
@@ -77,7 +79,7 @@ pub(super) fn remove_frozen(
                 end,
                 samples,
                 is_whole_stream: false,
-                joint_motion: moved,
+                joint_motion: Some(moved),
             });
             kept[first + 1..=last].fill(false);
         }
@@ -191,7 +193,7 @@ impl Run {
             end: stamp(source.track.t_s[last]),
             samples: last + 1 - first,
             is_whole_stream: false,
-            joint_motion,
+            joint_motion: Some(joint_motion),
         }));
         let kept = kept_samples(&source.track, found.iter().map(|&(first, last, _)| (first, last)));
         retain_samples(&mut source.track, &kept);
@@ -247,8 +249,7 @@ fn motion_at_lags(
     hold: (f64, f64),
     lags_s: &[f64],
 ) -> Option<f64> {
-    /// Accuracy of a lag from speeds, and search step, s.
-    const LAG_ACCURACY_S: f64 = 0.1;
+    /// Of the search, s.
     const STEP_S: f64 = 0.01;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
     let steps = (LAG_ACCURACY_S / STEP_S) as i32;

@@ -43,6 +43,7 @@ mod skeleton;
 mod source_kind;
 mod sources;
 mod stale;
+mod stale_end;
 mod streams;
 mod table_clocks;
 mod targets;

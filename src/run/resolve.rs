@@ -21,6 +21,7 @@ use crate::stream::{Orientations, PoseTrack};
 use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 use super::source_kind::names_tracker;
+use super::stale_end::{StaleEnd, moves_after};
 use super::vibration::follow_recorded_positions;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
@@ -129,7 +130,8 @@ fn follower_peak(run: &Run, arm: &Arm, source: &PoseSource, max_lag_s: f64) -> O
     without_stuck.filter(|other| other.correlation > peak.correlation).or(Some(peak))
 }
 
-/// Removes repeated poses at the lags at which streams may follow the moving arm.
+/// Removes repeated poses at the lags at which streams may follow the moving arm, and joint states that are stale to the end
+/// while a stream moves on.
 fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -140,6 +142,18 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             }
             let lags_s = likely_lags(run, of, found, max_lag_s);
             run.remove_frozen_at_lags(arm, source, &lags_s);
+        }
+        let of = &run.arms[arm];
+        let Some(stale) = StaleEnd::find(&of.joints) else { continue };
+        let from_s = of.joints.t_s[stale.rows.start];
+        let shows = |source: &PoseSource| {
+            let is_comparable =
+                source.moving_base.is_none() && (stale.stops_abruptly || source.reference_known);
+            is_comparable
+                && moves_after(&source.track, from_s, &likely_lags(run, of, source, max_lag_s))
+        };
+        if of.poses.iter().any(shows) {
+            run.remove_stale_end(arm, stale.rows);
         }
     }
 }

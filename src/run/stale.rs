@@ -13,7 +13,7 @@ use super::rows::Rows;
 const MIN_DURATION_S: f64 = 0.25;
 const MIN_ROWS: usize = 10;
 /// Maximum frozen motion, noise standard deviations.
-const MAX_FROZEN_MOTION_SIGMAS: f64 = 8.0;
+pub(super) const MAX_FROZEN_MOTION_SIGMAS: f64 = 8.0;
 /// Minimum final jump, rad or m, and in usual non-zero steps, to exclude a coarse encoder's resolution.
 const MIN_JUMP: f64 = 5e-3;
 const MIN_JUMP_STEPS: f64 = 4.0;
@@ -23,7 +23,7 @@ const MIN_STEP_RATIO: f64 = 5.0;
 /// 87 rad/s² in public recordings (docs/real-logs.md).
 pub(super) const MAX_ACCELERATION: f64 = 100.0;
 /// Rows on each side that show joint speeds.
-const SPEED_ROWS: usize = 4;
+pub(super) const SPEED_ROWS: usize = 4;
 
 #[derive(Debug)]
 pub(super) struct StaleJoints {
@@ -88,8 +88,14 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoint
         let stream = series.stream;
         let mut stale_rows: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
         stale_rows.sort_unstable();
-        let frozen =
-            FrozenSpan { stream, start, end, samples, is_whole_stream: false, joint_motion: moved };
+        let frozen = FrozenSpan {
+            stream,
+            start,
+            end,
+            samples,
+            is_whole_stream: false,
+            joint_motion: Some(moved),
+        };
         found.push(StaleJoints { frozen, rows: stale_rows });
     }
     found

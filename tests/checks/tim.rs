@@ -163,6 +163,10 @@ cases! {
         log.run.motion = Motion::Continuous;
         log.edit = Some(|messages| freeze_joints(messages, 3.0, 4.5));
     } => error(Topic(JOINT_STATES), AmountWithoutInterval(1.46, 0.1));
+    TIM007 joint_states_frozen_until_the_end: |log| {
+        log.run.motion = Motion::Continuous;
+        log.edit = Some(|messages| freeze_joints(messages, 5.0, 9.0));
+    } => error(Topic(JOINT_STATES), AmountWithoutInterval(2.96, 0.1));
     TIM007 no_stream_that_can_freeze: |log| remove_streams(&mut log.run) => Skipped("no");
 
     TIM008 transforms_repeated_three_times: |log| {

@@ -13,7 +13,8 @@ rule! {
     /// although the arm moves. The check allows for latency. At no latency within the search range do the
     /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
     /// throughout. Joint states are frozen if they stay constant within their noise for that long and then
-    /// jump amid a motion.
+    /// jump amid a motion, or stay constant to the end of the log while a pose stream that followed the arm
+    /// moves on. A stream whose frame may move counts only if the joints stopped without slowing down.
     ///
     /// ## Why it matters
     /// Rate and stamps are normal, so consumers take an old pose for the current one. The error is as large
@@ -33,7 +34,7 @@ rule! {
     /// - A stream frozen until the end of the log may also be late and is not reported. The same applies
     ///   close to a rest of the arm, unless the stream's speeds determine its latency.
     /// - FRM001 checks transforms that do not move with the joints.
-    /// - Joint states frozen until the end are indistinguishable from an arm at rest.
+    /// - Without such a stream, joint states frozen until the end are indistinguishable from an arm at rest.
     /// - Long runs are checked in excerpts; `samples` counts those checked.
     TIM007 {
         name: "frozen-stream",

@@ -41,6 +41,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
         skew: Err(rests()),
         is_skew_chosen: false,
         latency_profile: Err(rests()),
+        unconfirmed_latency: None,
         radial_scale: Err(rests()),
         is_radial_scale_chosen: false,
         reference: Err(rests()),
@@ -144,9 +145,9 @@ pub(super) fn stream_diagnosis(
     let is_chosen = |cause: Cause| model.causes.contains(&cause);
     let aligned = align(recorded, stream, decoded, model, index);
     let (latency_s, delay_jitter) = stream_fit.latency(&aligned);
-    let latency_profile = match &latency_s {
+    let (latency_profile, unconfirmed_latency) = match &latency_s {
         Ok(_) => stream_fit.latency_profile(&aligned),
-        Err(why) => Err(why.clone()),
+        Err(why) => (Err(why.clone()), None),
     };
     let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
     let mut encoding = decoded.encoding.clone();
@@ -169,6 +170,7 @@ pub(super) fn stream_diagnosis(
         skew: stream_fit.skew(),
         is_skew_chosen: is_chosen(Cause::Skew(index)),
         latency_profile,
+        unconfirmed_latency,
         radial_scale: stream_fit.estimate(Cause::RadialScale(index)),
         is_radial_scale_chosen: is_chosen(Cause::RadialScale(index)),
         reference: stream_fit.frame(Cause::Reference(index)),
@@ -288,8 +290,12 @@ impl StreamFit<'_> {
         self.fitted.timings.get(self.index).copied().flatten()
     }
 
-    /// Latency over the run. Link deviations are fitted before it counts as unsteady.
-    fn latency_profile(&self, aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
+    /// Latency over the run, and its likeliest variation if it is not confirmed. Link deviations are fitted before it counts
+    /// as unsteady.
+    fn latency_profile(
+        &self,
+        aligned: &AlignedSamples,
+    ) -> (EstimateResult<LatencyProfile>, Option<LatencyProfile>) {
         let Self { recorded, stream, decoded, index, .. } = *self;
         let model = &self.fitted.model;
         let stream_state = &model.state.streams[index];
@@ -301,15 +307,18 @@ impl StreamFit<'_> {
             is_fixed.then(|| fk_at_latency(aligned, decoded, model, index, late_s))
         };
         let removed = stream.removed_ramp;
-        let profile = latency_profile(aligned, stream_state.skew, removed, speed, fk_at)?;
-        if profile.shape == LatencyShape::Steady {
-            return Ok(profile);
-        }
+        let profile = match latency_profile(aligned, stream_state.skew, removed, speed, fk_at) {
+            Ok(profile) if profile.shape != LatencyShape::Steady => profile,
+            steady => return (steady, None),
+        };
         let (state, zeros) = (without_small_causes(model, index), &model.state.offsets);
-        match is_unsteady_beside_links(&decoded.observations, &state, zeros, &profile, removed) {
-            Some(false) if profile.is_unsteady => Err(NotObservable::NotExcited),
-            Some(is_unsteady) => Ok(LatencyProfile { is_unsteady, ..profile }),
-            None => Ok(profile),
+        let beside_links =
+            is_unsteady_beside_links(&decoded.observations, &state, zeros, &profile, removed);
+        let is_unsteady = beside_links.unwrap_or(profile.is_unsteady);
+        let unconfirmed = (!is_unsteady).then(|| profile.clone());
+        match profile.is_unsteady && !is_unsteady {
+            true => (Err(NotObservable::NotExcited), unconfirmed),
+            false => (Ok(LatencyProfile { is_unsteady, ..profile }), unconfirmed),
         }
     }
 }

@@ -82,6 +82,10 @@ pub struct NumericTable {
     columns: Vec<Vec<f64>>,
     /// Source array per column; blocks do not span arrays.
     homes: Vec<usize>,
+    /// Lowest and highest value per column.
+    ranges: Vec<[f64; 2]>,
+    /// Standard deviation of the noise per column.
+    noises: Vec<f64>,
     /// Per second, over a few rows.
     steepest: Vec<f64>,
 }
@@ -230,7 +234,9 @@ impl NumericTable {
         let pick = |values: &Vec<f64>| rows.iter().map(|&row| values[row]).collect();
         let (t_s, columns): (Vec<f64>, Vec<Vec<f64>>) =
             (pick(&t_s), columns.iter().map(pick).collect());
-        let mut table = Self { t_s, columns, homes, steepest: Vec::new() };
+        let ranges = columns.iter().map(|values| range_of(values.iter().copied())).collect();
+        let noises = columns.iter().map(|values| sample_noise(values)).collect();
+        let mut table = Self { t_s, columns, homes, ranges, noises, steepest: Vec::new() };
         table.steepest = table.columns.iter().map(|values| table.max_rate(values)).collect();
         table
     }
@@ -428,7 +434,7 @@ impl NumericTable {
             }
             if high - low > MIN_COLUMN_RANGE {
                 moving += 1;
-                if factor * sample_noise(&self.columns[column]) > MAX_NOISE_SHARE * (high - low) {
+                if factor * self.noises[column] > MAX_NOISE_SHARE * (high - low) {
                     return false;
                 }
             }
@@ -437,7 +443,7 @@ impl NumericTable {
     }
 
     fn range(&self, column: usize) -> [f64; 2] {
-        range_of(self.columns[column].iter().copied())
+        self.ranges[column]
     }
 
     /// Columns that may be a position.

@@ -24,7 +24,7 @@ use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
 /// Smaller turns may be due to small joint errors.
-const MIN_TURN_RAD: f64 = 0.2;
+pub(crate) const MIN_TURN_RAD: f64 = 0.2;
 /// For a latency estimate.
 const MIN_MOVING_SAMPLES: usize = 10;
 

@@ -43,6 +43,13 @@ impl JointTrack {
         &self.q[row * self.dof..(row + 1) * self.dof]
     }
 
+    /// Keeps the first `rows`.
+    pub fn truncate(&mut self, rows: usize) {
+        self.t_s.truncate(rows);
+        self.q.truncate(rows * self.dof);
+        self.qd.truncate(rows * self.dof);
+    }
+
     /// First and last time, s.
     pub fn span(&self) -> Option<(f64, f64)> {
         Some((*self.t_s.first()?, *self.t_s.last()?))

@@ -151,6 +151,12 @@ fn unquoted(cell: &[u8]) -> &[u8] {
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
 
+/// Delimiter of the first row of numbers.
+pub(crate) fn delimiter_of_numbers(bytes: &[u8]) -> Option<u8> {
+    let mut rows = lines(bytes).map(|(_, _, line)| detect_delimiter(line));
+    rows.find(|(_, count)| *count > 0).map(|(delimiter, _)| delimiter)
+}
+
 /// Delimiter with the most numbers, and their count.
 fn detect_delimiter(row: &[u8]) -> (u8, usize) {
     let count = |delimiter: u8| {

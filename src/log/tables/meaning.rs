@@ -140,7 +140,7 @@ pub(super) fn identify_topics(
         groups.iter_mut().for_each(|group| convert_mixed_angles(table, group));
     }
     number_duplicates(&mut groups);
-    if settings.pose.is_empty() && layout.is_none() {
+    if settings.pose.is_empty() && (layout.is_none() || table.is_one_of_several) {
         name_after_file(&mut groups, &table.stream_name);
     }
     let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
@@ -586,13 +586,13 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
     };
     let read = groups.iter().filter(is_read);
     let used: HashSet<Cell> = read.flat_map(|group| &group.cells).copied().collect();
-    let mut open: BTreeMap<Vec<String>, Cell> = BTreeMap::new();
+    let mut open: BTreeMap<Vec<String>, Vec<(Vec<String>, Cell)>> = BTreeMap::new();
     for (column, own) in table.columns.iter().enumerate() {
         for part in 0..own.width {
             let cell = Cell { column, part };
             let words = words_of(&cell);
             if names::is_joint_velocities(&words) && !used.contains(&cell) {
-                open.entry(names::shared_words(&words)).or_insert(cell);
+                open.entry(names::shared_words(&words)).or_default().push((words, cell));
             }
         }
     }
@@ -601,7 +601,14 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
     for group in groups.iter_mut() {
         let ColumnGroup { cells, meaning, why, .. } = group;
         let ColumnMeaning::Joints { velocities, names, unnamed, .. } = meaning else { continue };
-        let velocity = |cell: &Cell| open.get(&names::shared_words(&words_of(cell))).copied();
+        // `joint_velocity_1` rather than `motor_velocity_1` for `joint_position_1`.
+        let velocity = |cell: &Cell| {
+            let words = words_of(cell);
+            let differing =
+                |other: &[String]| other.iter().filter(|it| !words.contains(it)).count();
+            let alike = open.get(&names::shared_words(&words))?;
+            alike.iter().min_by_key(|(other, _)| differing(other)).map(|(_, cell)| *cell)
+        };
         let Some(own) = cells.iter().map(velocity).collect::<Option<Vec<Cell>>>() else { continue };
         if taken.iter().flatten().any(|cell| own.contains(cell)) {
             continue;
@@ -1029,7 +1036,8 @@ impl ColumnGroup {
                 at(row, &cells[cell])
             }),
         };
-        let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
+        let mut stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
+        RowStamps::put_in_row_order(&mut stamps);
         let is_position = matches!(
             meaning,
             ColumnMeaning::Pose | ColumnMeaning::Position | ColumnMeaning::QuaternionPose

@@ -56,8 +56,8 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 use self::clock::ClockError;
 pub(super) use self::csv::{
-    column_names, has_time, is_header_alone, is_list_of_numbers, is_list_of_pairs, is_table,
-    is_table_of_text,
+    column_names, delimiter_of_numbers, has_time, is_header_alone, is_list_of_numbers,
+    is_list_of_pairs, is_table, is_table_of_text,
 };
 pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
@@ -120,6 +120,8 @@ pub(super) struct Table {
     pub lines: Vec<usize>,
     /// Topic of the only pose, if its columns do not name it. Empty within a dataset.
     pub stream_name: String,
+    /// Whether other files are read with it.
+    pub is_one_of_several: bool,
     /// Positions of text columns in a row of the file.
     pub text_columns: Vec<usize>,
     /// Times in text of columns without names, in billionths, by column and index.
@@ -231,6 +233,19 @@ pub(super) struct RowStamps {
     /// From the column's own clock, if any.
     column_ns: i64,
     row_ns: i64,
+}
+
+impl RowStamps {
+    /// Receive times increase from row to row, also where the clock is set back or another recording begins.
+    fn put_in_row_order(stamps: &mut [Self]) {
+        let (mut offset, mut last) = (0_i64, i64::MIN);
+        for stamp in stamps {
+            let row_ns = stamp.row_ns;
+            offset = offset.saturating_add(last.saturating_sub(row_ns).max(0));
+            stamp.row_ns = row_ns.saturating_add(offset);
+            last = row_ns;
+        }
+    }
 }
 
 impl From<i64> for RowStamps {
@@ -449,6 +464,7 @@ impl Tables {
         }
         if let ([(_, table)], None, None) = (episodes.as_mut_slice(), &dataset, wanted) {
             table.stream_name = self.stream_names.get(path).cloned().unwrap_or_default();
+            table.is_one_of_several = self.stream_names.len() > 1;
             table.name_only_array(path);
         }
         if let ([(_, table)], TableFormat::Csv | TableFormat::Npy) = (episodes.as_mut_slice(), kind)

@@ -155,6 +155,8 @@ const OTHER_WORDS: &[&str] = &[
     "cos",
     "sin",
     "voltage",
+    "power",
+    "jerk",
     "reward",
     "done",
     "image",
@@ -325,8 +327,19 @@ const ROTATION_WORDS: &[&str] = &[
     "angle",
 ];
 const QUATERNION_WORDS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
-const POSE_WORDS: &[&str] =
-    &["pose", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand"];
+const POSE_WORDS: &[&str] = &[
+    "pose",
+    "coords",
+    "tcp",
+    "ee",
+    "eef",
+    "end",
+    "effector",
+    "cartesian",
+    "flange",
+    "tool",
+    "hand",
+];
 const UNIT_WORDS: &[&str] = &[
     "m",
     "mm",
@@ -421,8 +434,12 @@ pub(super) fn is_joint_velocities(words: &[String]) -> bool {
         && !is_motor_current(words)
 }
 
-/// `current` also means present, as in `current_pos_x`.
+/// `current` also means present, as in `current_pos_x`. `motor_iq` and `motor_id` are currents of a three-phase motor.
 fn is_motor_current(words: &[String]) -> bool {
+    let is_axis = |pair: &[String]| pair[0] == "motor" && matches!(pair[1].as_str(), "id" | "iq");
+    if words.windows(2).any(is_axis) {
+        return true;
+    }
     let is_measured = |word: &String| {
         let word = word.as_str();
         let is_short = matches!(word, "p" | "t");

@@ -330,3 +330,19 @@ fn stamps_of_the_robot_precede_those_of_images() {
     }
     assert_eq!(stamps(&plain(text.as_bytes()), "q")[0], 5_037_000_000);
 }
+
+#[test]
+fn rows_are_received_in_their_order_where_the_clock_steps_back() {
+    let row = |row: usize| {
+        let q: Vec<String> = (0..6).map(|joint| format!("{:.6}", wave(row + 10 * joint))).collect();
+        format!("{:.2},{}\n", 0.01 * (row % 100) as f64, q.join(","))
+    };
+    let rows: String = (0..300).map(row).collect();
+    let log = plain(format!("time,q1,q2,q3,q4,q5,q6\n{rows}").as_bytes());
+    let columns = log.topics.iter().find_map(|topic| topic.columns.as_ref()).expect("columns");
+    let times = columns.times()[0];
+    assert_eq!([0, 99, 100, 299].map(|row| times.header[row] / 10_000_000), [0, 99, 0, 99]);
+    assert!(times.log.is_sorted());
+    let span_ns = times.log[299] - times.log[0];
+    assert!((span_ns - 2_970_000_000).abs() < 10, "{span_ns}");
+}
