@@ -193,6 +193,10 @@ pub(super) fn attribute_residual(
         let larger = larger
             .and_then(|error| ExceedingResidual::from_error(error, thresholds, noise_multiple));
         return Some(match larger {
+            // The rules wait for this one.
+            Some(residual) if smallest_residual_m(arm) > MIN_UNEXPLAINED_M => {
+                Attribution::Unexplained(residual)
+            }
             Some(residual) => {
                 Attribution::Undetermined(residual, [causes.joints, causes.poses].concat())
             }

@@ -162,6 +162,37 @@ impl LatencyProfile {
         }
     }
 
+    /// With the steps that remain at compensated stamps. `None` if one of them has another shape.
+    pub(crate) fn with_further_steps(&self, further: &Self) -> Option<Self> {
+        /// Closer ones are one step.
+        const MIN_SEPARATION_S: f64 = 1.0;
+        let (start, start_of_further) = (self.levels.first()?, further.levels.first()?);
+        if self.steps.is_empty() || further.steps.is_empty() {
+            return None;
+        }
+        let mut steps = self.steps.clone();
+        for step in &further.steps {
+            let apart_s = |it: &LatencyStep| (it.at_s - step.at_s).abs();
+            let near = steps.iter_mut().min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)));
+            match near.filter(|near| apart_s(near) < MIN_SEPARATION_S) {
+                Some(near) => {
+                    let value = near.size_s.value + step.size_s.value;
+                    near.size_s = Measured { value, ..step.size_s };
+                }
+                None => steps.push(*step),
+            }
+        }
+        steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let mut level_s = start.1 + start_of_further.1;
+        let mut levels = vec![(f64::NEG_INFINITY, level_s)];
+        for step in &steps {
+            level_s += step.size_s.value;
+            levels.push((step.at_s, level_s));
+        }
+        let swing_s = largest(&steps)?;
+        Some(Self { swing_s, steps, levels, ..self.clone() })
+    }
+
     /// Stamps compensated for the deviation from the median level, each with its row. Drops rows that would
     /// be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
