@@ -19,7 +19,7 @@ const ASSUMED_RATE_HZ: f64 = 50.0;
 pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
     log::open(&options.logs, &options.read).map_err(|error| {
         let question = match &error {
-            LogError::NoTimes { path, what, rows } => question(options, *rows).map(|own| {
+            LogError::NoTimes { path, what, rows, .. } => question(options, *rows).map(|own| {
                 let place = SourceName::from_path(path).to_string();
                 let what = format!("{what}{}", own.implied);
                 Trouble { kind: TroubleKind::Log, what, place, remedy: own.remedy }

@@ -110,7 +110,7 @@ pub enum LogError {
         what: String,
     },
     /// The rows of a table have no times.
-    #[error("{}: {what}; {}", path.display(), rate_remedy(*rows))]
+    #[error("{}: {what}; {}", path.display(), rate_remedy(*rows, *numbers))]
     NoTimes {
         /// Path.
         path: PathBuf,
@@ -118,6 +118,8 @@ pub enum LogError {
         what: String,
         /// Number of rows.
         rows: usize,
+        /// Numbers in a row.
+        numbers: usize,
     },
     /// A given layout contradicts a table.
     #[error("{}: {what}; `_` ignores a column (docs/datasets.md)", path.display())]
@@ -191,12 +193,13 @@ impl LogError {
     }
 }
 
-/// What to do about a table with this many rows and no times.
-pub fn rate_remedy(rows: usize) -> String {
+/// What to do about a table without times, with these rows and numbers in each.
+pub fn rate_remedy(rows: usize, numbers: usize) -> String {
     format!(
-        "end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or set `rate_hz = 30` in [columns] \
-         of the config, or pass a file with the times of the {rows} rows as well; if each row is a configuration at \
-         rest, use `poseaudit calibrate` with --columns 'q[6],xyz', without a rate"
+        "state its {numbers} columns with --columns, as q[6] for joints, xyz and rotvec for a pose and _[2] for two others, \
+         and end with the true rows per second, as @30; or set `rate_hz = 30` in [columns] of the config, or pass a \
+         file with the times of the {rows} rows as well; if each row is a configuration at rest, use `poseaudit \
+         calibrate` without a rate"
     )
 }
 

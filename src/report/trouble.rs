@@ -87,7 +87,7 @@ impl From<LogError> for Trouble {
         };
         let another = "pass a log that a recorder wrote";
         let of_rate = match error {
-            LogError::NoTimes { rows, .. } => rate_remedy(rows),
+            LogError::NoTimes { rows, numbers, .. } => rate_remedy(rows, numbers),
             _ => String::new(),
         };
         let (path, what, remedy) = match error {

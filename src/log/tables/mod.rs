@@ -526,6 +526,7 @@ impl Tables {
                         path: path.to_owned(),
                         what,
                         rows: table.rows,
+                        numbers: table.columns.iter().map(|column| column.width).sum(),
                     });
                 }
                 Err(EpisodeError::Layout(what)) => {
