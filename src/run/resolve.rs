@@ -21,7 +21,7 @@ use crate::stream::{Orientations, PoseTrack};
 use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 use super::source_kind::names_tracker;
-use super::stale_end::{StaleEnd, moves_after};
+use super::stale_end::{StaleEnd, moves_within};
 use super::vibration::follow_recorded_positions;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
@@ -145,12 +145,12 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
         }
         let of = &run.arms[arm];
         let Some(stale) = StaleEnd::find(&of.joints) else { continue };
-        let from_s = of.joints.t_s[stale.rows.start];
+        let span_s = [stale.rows.start, stale.rows.end - 1].map(|row| of.joints.t_s[row]);
         let shows = |source: &PoseSource| {
             let is_comparable =
                 source.moving_base.is_none() && (stale.stops_abruptly || source.reference_known);
             is_comparable
-                && moves_after(&source.track, from_s, &likely_lags(run, of, source, max_lag_s))
+                && moves_within(&source.track, span_s, &likely_lags(run, of, source, max_lag_s))
         };
         if of.poses.iter().any(shows) {
             run.remove_stale_end(arm, stale.rows);

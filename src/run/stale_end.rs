@@ -97,18 +97,19 @@ fn stops_abruptly(joints: &JointTrack, row: usize, limits: &[f64]) -> bool {
     })
 }
 
-/// Whether the position changes after this time at each of the lags, if there are any.
-pub(super) fn moves_after(track: &PoseTrack, from_s: f64, lags_s: &[f64]) -> bool {
-    !lags_s.is_empty() && lags_s.iter().all(|lag_s| changes_after(track, from_s + lag_s))
-}
-
-fn changes_after(track: &PoseTrack, from_s: f64) -> bool {
-    let first = track.t_s.partition_point(|t_s| *t_s < from_s + LAG_ACCURACY_S);
-    let Some(start) = track.xyz.get(first) else { return false };
-    let from_start = |xyz: &Vec3| (xyz - start).norm();
-    let range = track.xyz.iter().map(from_start).fold(0.0, f64::max);
-    let limit = MAX_REST_MOTION.max(MAX_REST_SHARE * range);
-    track.xyz[first..].iter().filter(|xyz| from_start(xyz) > limit).count() >= MIN_PERIODS
+/// Whether the position changes in this span of time, later by each of the lags, if there are any.
+pub(super) fn moves_within(track: &PoseTrack, [from_s, to_s]: [f64; 2], lags_s: &[f64]) -> bool {
+    let changes = |lag_s: &f64| {
+        let row = |t_s: f64| track.t_s.partition_point(|own| *own < t_s);
+        let rows = row(from_s + lag_s + LAG_ACCURACY_S)..row(to_s + lag_s - LAG_ACCURACY_S);
+        let within = track.xyz.get(rows).unwrap_or_default();
+        let Some(start) = within.first() else { return false };
+        let from_start = |xyz: &Vec3| (xyz - start).norm();
+        let range = track.xyz.iter().map(from_start).fold(0.0, f64::max);
+        let limit = MAX_REST_MOTION.max(MAX_REST_SHARE * range);
+        within.iter().filter(|xyz| from_start(xyz) > limit).count() >= MIN_PERIODS
+    };
+    !lags_s.is_empty() && lags_s.iter().all(changes)
 }
 
 #[cfg(test)]
@@ -136,19 +137,22 @@ mod tests {
     }
 
     #[test]
-    fn poses_after_the_end_must_move_at_every_lag() {
+    fn poses_must_move_meanwhile_at_every_lag() {
         let t_s: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row)).collect();
-        let track = |until_s: f64| PoseTrack {
-            xyz: t_s.iter().map(|t_s| Vec3::x() * t_s.min(until_s).sin()).collect(),
+        let track = |moves: Range<f64>| PoseTrack {
+            xyz: t_s
+                .iter()
+                .map(|t_s| Vec3::x() * t_s.clamp(moves.start, moves.end).sin())
+                .collect(),
             orientation: crate::stream::Orientations::Unset(t_s.len()),
             t_s: t_s.clone(),
             declared: None,
         };
-        assert!(moves_after(&track(20.0), 13.0, &[0.0, 1.5]));
-        assert!(!moves_after(&track(20.0), 13.0, &[]));
-        assert!(
-            moves_after(&track(14.0), 13.0, &[0.0])
-                && !moves_after(&track(14.0), 13.0, &[0.0, 1.0])
-        );
+        let moves = |range, lags_s: &[f64]| moves_within(&track(range), [13.0, 16.0], lags_s);
+        assert!(moves(0.0..20.0, &[0.0, 1.5]));
+        assert!(!moves(0.0..20.0, &[]));
+        assert!(moves(0.0..14.0, &[0.0]) && !moves(0.0..14.0, &[0.0, 1.0]));
+        // After the joint states end, the arm may move again.
+        assert!(!moves(16.5..20.0, &[0.0]));
     }
 }
