@@ -36,7 +36,9 @@
 //! 7. `compliance::gains` finds a scale or a coupling of a joint. If it does not explain the residual, `changes` finds
 //!    steps, ramps and settling of frames, joint zeros and radial scales, by a score test beside link
 //!    deviations, and changes of frames together with compliance. `compliance` competes with both. Each corrects the
-//!    run and repeats steps 4 to 6. The likeliest diagnosis wins (`selection::evidence`). If a residual remains,
+//!    run and repeats steps 4 to 6. The likeliest diagnosis wins (`selection::evidence`). If the latency varies once these
+//!    are removed, or is the likeliest explanation of a residual that remains, it is compensated, and steps 4 to 7 are
+//!    repeated (`diagnose`). If a residual still remains,
 //!    `changes` looks for segments with other encodings, encodes them like the longest one, and repeats steps 1 to 7, or for segments in which a frame or a joint zero is turned by more
 //!    than a linearisation shows. A run that follows FK as logged only between gaps or jumps of the
 //!    numbers starts here.

@@ -21,7 +21,7 @@ use crate::stream::{Orientations, PoseTrack};
 use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 use super::source_kind::names_tracker;
-use super::stale_end::{StaleEnd, moves_within};
+use super::stale_end::{moves_within, rows_at_rest};
 use super::vibration::follow_recorded_positions;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
@@ -131,7 +131,7 @@ fn follower_peak(run: &Run, arm: &Arm, source: &PoseSource, max_lag_s: f64) -> O
 }
 
 /// Removes repeated poses at the lags at which streams may follow the moving arm, and joint states that are stale to the end
-/// while a stream moves on.
+/// while all streams in the base frame move on.
 fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -144,16 +144,19 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             run.remove_frozen_at_lags(arm, source, &lags_s);
         }
         let of = &run.arms[arm];
-        let Some(stale) = StaleEnd::find(&of.joints) else { continue };
-        let span_s = [stale.rows.start, stale.rows.end - 1].map(|row| of.joints.t_s[row]);
-        let shows = |source: &PoseSource| {
-            let is_comparable =
-                source.moving_base.is_none() && (stale.stops_abruptly || source.reference_known);
-            is_comparable
-                && moves_within(&source.track, span_s, &likely_lags(run, of, source, max_lag_s))
-        };
-        if of.poses.iter().any(shows) {
-            run.remove_stale_end(arm, stale.rows);
+        let Some(rows) = rows_at_rest(&of.joints) else { continue };
+        let span_s = [rows.start, rows.end - 1].map(|row| of.joints.t_s[row]);
+        let in_base_frame = of
+            .poses
+            .iter()
+            .filter(|source| source.reference_known && source.moving_base.is_none())
+            .map(|source| (source, likely_lags(run, of, source, max_lag_s)))
+            .filter(|(_, lags_s)| !lags_s.is_empty());
+        let moves: Vec<bool> = in_base_frame
+            .map(|(source, lags_s)| moves_within(&source.track, span_s, &lags_s))
+            .collect();
+        if moves.contains(&true) && !moves.contains(&false) {
+            run.remove_stale_end(arm, rows);
         }
     }
 }

@@ -23,7 +23,7 @@ const MIN_STEP_RATIO: f64 = 5.0;
 /// 87 rad/s² in public recordings (docs/real-logs.md).
 pub(super) const MAX_ACCELERATION: f64 = 100.0;
 /// Rows on each side that show joint speeds.
-pub(super) const SPEED_ROWS: usize = 4;
+const SPEED_ROWS: usize = 4;
 
 #[derive(Debug)]
 pub(super) struct StaleJoints {

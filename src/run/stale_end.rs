@@ -1,13 +1,12 @@
 //! Stale joint states that keep one value from a motion to the end of the log.
 //!
-//! An arm at rest looks the same, so a stream of poses that followed the arm must move on. If its frame may move as well, the
-//! joints must have stopped without slowing down.
+//! An arm at rest looks the same, so all streams of poses that followed the arm in its base frame must move on. Other frames
+//! may move while the arm rests.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::geometry::Vec3;
 use crate::stream::{Columns, JointTrack, PoseTrack};
 use crate::time::Stamp;
 
@@ -15,7 +14,7 @@ use super::Run;
 use super::frozen::{
     FrozenSpan, LAG_ACCURACY_S, MAX_REST_MOTION, MAX_REST_SHARE, MIN_DURATION_S, MIN_PERIODS,
 };
-use super::stale::{MAX_FROZEN_MOTION_SIGMAS, SPEED_ROWS, StaleJoints};
+use super::stale::{MAX_FROZEN_MOTION_SIGMAS, StaleJoints};
 
 impl Run {
     /// Removes the joint states of an arm after the first of these rows, which are stale.
@@ -52,88 +51,61 @@ impl Run {
     }
 }
 
-/// The last rows, in which no joint moves.
-pub(super) struct StaleEnd {
-    pub rows: Range<usize>,
-    /// Whether a joint moved at full speed just before.
-    pub stops_abruptly: bool,
-}
-
-impl StaleEnd {
-    pub fn find(joints: &JointTrack) -> Option<Self> {
-        let last = joints.len().checked_sub(1)?;
-        let limit = |joint: usize| {
-            let noise = joints.noise.get(joint).map_or(0.0, |noise| noise[0]);
-            MAX_FROZEN_MOTION_SIGMAS * noise + 1e-9
-        };
-        let limits: Vec<f64> = (0..joints.dof).map(limit).collect();
-        let is_still = |row: &usize| {
-            let both = joints.row(*row).iter().zip(joints.row(last)).zip(&limits);
-            both.into_iter().all(|((q, end), limit)| (q - end).abs() <= *limit)
-        };
-        let first = (0..=last).rev().take_while(is_still).last()?;
-        let is_long =
-            last - first >= MIN_PERIODS && joints.t_s[last] - joints.t_s[first] >= MIN_DURATION_S;
-        let stops_abruptly = stops_abruptly(joints, first, &limits);
-        is_long.then_some(Self { rows: first..last + 1, stops_abruptly })
-    }
-}
-
-/// Whether the fastest joint reaches `row` without slowing down.
-fn stops_abruptly(joints: &JointTrack, row: usize, limits: &[f64]) -> bool {
-    /// Of the distances in two equal times. A joint that slows down evenly covers a third before it rests.
-    const MIN_RATIO: f64 = 0.6;
-    /// Distance in multiples of the motion that counts as none.
-    const MIN_DISTANCE: f64 = 20.0;
-    let Some(begin) = row.checked_sub(2 * SPEED_ROWS) else { return false };
-    let distance = |from: usize, joint: usize| {
-        (joints.row(from + SPEED_ROWS)[joint] - joints.row(from)[joint]).abs()
+/// The last rows, if no joint moves in them.
+pub(super) fn rows_at_rest(joints: &JointTrack) -> Option<Range<usize>> {
+    let last = joints.len().checked_sub(1)?;
+    let limit = |joint: usize| {
+        let noise = joints.noise.get(joint).map_or(0.0, |noise| noise[0]);
+        MAX_FROZEN_MOTION_SIGMAS * noise + 1e-9
     };
-    let ratio = |joint: usize| distance(begin + SPEED_ROWS, joint) / limits[joint];
-    let fastest = (0..joints.dof).max_by(|a, b| ratio(*a).total_cmp(&ratio(*b)));
-    fastest.is_some_and(|joint| {
-        ratio(joint) > MIN_DISTANCE
-            && distance(begin + SPEED_ROWS, joint) > MIN_RATIO * distance(begin, joint)
-    })
+    let limits: Vec<f64> = (0..joints.dof).map(limit).collect();
+    let is_still = |row: &usize| {
+        let both = joints.row(*row).iter().zip(joints.row(last)).zip(&limits);
+        both.into_iter().all(|((q, end), limit)| (q - end).abs() <= *limit)
+    };
+    let first = (0..=last).rev().take_while(is_still).last()?;
+    let is_long =
+        last - first >= MIN_PERIODS && joints.t_s[last] - joints.t_s[first] >= MIN_DURATION_S;
+    is_long.then_some(first..last + 1)
 }
 
-/// Whether the position changes in this span of time, later by each of the lags, if there are any.
+/// Whether the position keeps changing in this span of time, later by each of the lags. A value that jumps, as a tracker's
+/// zeros, does not.
 pub(super) fn moves_within(track: &PoseTrack, [from_s, to_s]: [f64; 2], lags_s: &[f64]) -> bool {
-    let changes = |lag_s: &f64| {
-        let row = |t_s: f64| track.t_s.partition_point(|own| *own < t_s);
-        let rows = row(from_s + lag_s + LAG_ACCURACY_S)..row(to_s + lag_s - LAG_ACCURACY_S);
-        let within = track.xyz.get(rows).unwrap_or_default();
-        let Some(start) = within.first() else { return false };
-        let from_start = |xyz: &Vec3| (xyz - start).norm();
-        let range = track.xyz.iter().map(from_start).fold(0.0, f64::max);
-        let limit = MAX_REST_MOTION.max(MAX_REST_SHARE * range);
-        within.iter().filter(|xyz| from_start(xyz) > limit).count() >= MIN_PERIODS
+    const INTERVAL_S: f64 = 0.2;
+    const MIN_INTERVALS: usize = 5;
+    let row = |t_s: f64| track.t_s.partition_point(|own| *own < t_s);
+    let range = track.xyz.iter().map(|xyz| (xyz - track.xyz[0]).norm()).fold(0.0, f64::max);
+    let limit = MAX_REST_MOTION.max(MAX_REST_SHARE * range);
+    let keeps_moving = |lag_s: &f64| {
+        let begin_s = from_s + lag_s + LAG_ACCURACY_S;
+        let count = ((to_s - from_s - 2.0 * LAG_ACCURACY_S) / INTERVAL_S).max(0.0) as usize;
+        let at = |interval: usize| track.xyz.get(row(begin_s + interval as f64 * INTERVAL_S));
+        let moves = |interval: &usize| {
+            at(*interval).zip(at(interval + 1)).is_some_and(|(a, b)| (b - a).norm() > limit)
+        };
+        (0..count).filter(moves).count() >= MIN_INTERVALS
     };
-    !lags_s.is_empty() && lags_s.iter().all(changes)
+    lags_s.iter().all(keeps_moving)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// 20 s at 100 Hz of a joint that follows `position`, with noise of 10 µrad.
-    fn found(position: impl Fn(f64) -> f64) -> Option<StaleEnd> {
-        let t_s: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row)).collect();
-        let noise = |row: usize| 1e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
-        let q = t_s.iter().enumerate().map(|(row, t_s)| position(*t_s) + noise(row)).collect();
-        let noise = vec![[1e-5, 1e-3]];
-        StaleEnd::find(&JointTrack { qd: vec![0.0; t_s.len()], t_s, dof: 1, q, noise })
-    }
+    use crate::geometry::Vec3;
 
     #[test]
-    fn a_joint_that_stops_at_full_speed_differs_from_one_that_slows_down() {
-        let stale = found(|t_s| (1.1 * t_s.min(13.0)).sin()).expect("rests");
-        assert!(stale.stops_abruptly && stale.rows.start.abs_diff(1300) < 3, "{:?}", stale.rows);
-        let acceleration = 2.0;
-        let rest =
-            found(|t_s| -0.5 * acceleration * (13.0 - t_s).clamp(0.0, 1.0).powi(2)).expect("rests");
-        assert!(!rest.stops_abruptly);
-        assert!(found(|t_s| (1.1 * t_s).sin()).is_none());
+    fn the_rest_at_the_end_is_found() {
+        let t_s: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row)).collect();
+        let found = |until_s: f64| {
+            let noise = |row: usize| 1e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
+            let rows = t_s.iter().enumerate();
+            let q = rows.map(|(row, t_s)| (1.1 * t_s.min(until_s)).sin() + noise(row)).collect();
+            let (t_s, qd, noise) = (t_s.clone(), vec![0.0; 2000], vec![[1e-5, 1e-3]]);
+            rows_at_rest(&JointTrack { t_s, dof: 1, q, qd, noise })
+        };
+        assert!(found(13.0).is_some_and(|rows| rows.start.abs_diff(1300) < 3 && rows.end == 2000));
+        assert_eq!(found(20.0), None);
     }
 
     #[test]
@@ -150,8 +122,7 @@ mod tests {
         };
         let moves = |range, lags_s: &[f64]| moves_within(&track(range), [13.0, 16.0], lags_s);
         assert!(moves(0.0..20.0, &[0.0, 1.5]));
-        assert!(!moves(0.0..20.0, &[]));
-        assert!(moves(0.0..14.0, &[0.0]) && !moves(0.0..14.0, &[0.0, 1.0]));
+        assert!(moves(0.0..15.0, &[0.0]) && !moves(0.0..15.0, &[0.0, 1.5]));
         // After the joint states end, the arm may move again.
         assert!(!moves(16.5..20.0, &[0.0]));
     }

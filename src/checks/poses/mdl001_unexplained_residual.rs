@@ -25,7 +25,7 @@ rule! {
     ///
     /// ## What it means
     /// Every stream is compared with FK independently of the estimators, by the 95th percentile of the raw
-    /// error over the moving run, and over each tenth of it and of the rests. If that reaches the thresholds, the other rules' findings
+    /// error over the moving run and its tenths. If that reaches the thresholds, the other rules' findings
     /// must explain it. The corrected error in every tenth must then be below the thresholds, or at most
     /// twice the sample-to-sample noise, if that noise is not itself an error. A larger residual has no
     /// modelled cause: kinematic parameters, a bent link, gear error, a slow change during the run, or a

@@ -13,8 +13,8 @@ rule! {
     /// although the arm moves. The check allows for latency. At no latency within the search range do the
     /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
     /// throughout. Joint states are frozen if they stay constant within their noise for that long and then
-    /// jump amid a motion, or stay constant to the end of the log while a pose stream that followed the arm
-    /// moves on. A stream whose frame may move counts only if the joints stopped without slowing down.
+    /// jump amid a motion, or stay constant to the end of the log while all pose streams that followed the arm
+    /// in its base frame move on.
     ///
     /// ## Why it matters
     /// Rate and stamps are normal, so consumers take an old pose for the current one. The error is as large

@@ -2,7 +2,7 @@
 //! it.
 //!
 //! An error that lasts for part of the run is large there, whatever its mean. Its size is therefore a high
-//! quantile, robust to single outliers, over the moving run, and over each tenth of it and of the rests. Its noise must
+//! quantile, robust to single outliers, over the run and over each tenth of the moving run. Its noise must
 //! not come from the error itself, because a tool that slips resembles one long fluctuation. It comes from
 //! second differences over times with little motion (von Neumann 1941; Hall, Kay and Titterington 1990).
 
@@ -68,9 +68,9 @@ pub struct FkError {
 /// Size of an error over the run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ErrorSize {
-    /// Whole run, without rests.
+    /// Whole run.
     pub whole: ErrorMagnitude,
-    /// Parts of the motion in time order, then of the rests.
+    /// Parts in time order.
     pub parts: Vec<PartError>,
 }
 
@@ -287,22 +287,16 @@ impl<'a> ErrorSeries<'a> {
         Self { t_s, fk, length, angle, short, period_s }
     }
 
-    /// As a whole over samples with motion, or all at rest.
+    /// Over samples with motion, or all at rest.
     pub fn error(&self, moves: &[bool], at_rest: bool) -> FkError {
-        let (moving, resting): (Vec<usize>, Vec<usize>) =
-            (0..self.t_s.len()).partition(|&row| at_rest || moves[row]);
-        let size = |error: &[Vec3]| {
-            let mut parts = self.parts(error, &moving);
-            if resting.len() >= MIN_PART_SAMPLES {
-                parts.extend(self.parts(error, &resting));
-            }
-            ErrorSize { whole: self.magnitude(error, &moving), parts }
-        };
-        FkError { length: size(&self.length), angle: self.angle.as_ref().map(|angle| size(angle)) }
+        let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
+        FkError {
+            length: self.size(&self.length, &rows),
+            angle: self.angle.as_ref().map(|angle| self.size(angle, &rows)),
+        }
     }
 
-    /// In time order.
-    fn parts(&self, error: &[Vec3], rows: &[usize]) -> Vec<PartError> {
+    fn size(&self, error: &[Vec3], rows: &[usize]) -> ErrorSize {
         let parts = (rows.len() / MIN_PART_SAMPLES).clamp(1, MAX_PARTS);
         let parts = (0..parts)
             .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
@@ -314,7 +308,7 @@ impl<'a> ErrorSeries<'a> {
         };
         let mut parts: Vec<PartError> = parts.filter_map(part).collect();
         limit_noise(&mut parts);
-        parts
+        ErrorSize { whole: self.magnitude(error, rows), parts }
     }
 
     /// Mean tip position over samples with at least the error `max_size`.

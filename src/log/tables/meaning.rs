@@ -1092,7 +1092,18 @@ impl ColumnGroup {
                     words.any(|word| known.contains(&word.as_str()))
                 };
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
-                let are_degrees = (most > TWO_TURNS || is_named) && lines.is_empty();
+                let says_rad = |cell: &&Cell| {
+                    names::split_words(name(table, **cell))
+                        .iter()
+                        .any(|word| names::RADIAN_WORDS.contains(&word.as_str()))
+                };
+                // `joints_rad` next to `joints_deg`.
+                let is_small = || {
+                    let mut positions = joints.joints.iter().flat_map(|joint| &joint.position);
+                    positions.all(|position| position.is_nan() || position.abs() <= TWO_TURNS)
+                };
+                let is_rad = cells.iter().all(|cell| says_rad(&cell)) && is_small();
+                let are_degrees = (is_named || (most > TWO_TURNS && !is_rad)) && lines.is_empty();
                 let are_radians = || in_words(names::RADIAN_WORDS) || are_rates_in_radians(&joints);
                 if in_words(names::DEGREE_WORDS) || (are_degrees && !are_radians()) {
                     joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
@@ -1109,11 +1120,6 @@ impl ColumnGroup {
                     if let Some(what) = why_not_degrees(table, &cells, most) {
                         why += &format!(", but {what}");
                     }
-                    let says_rad = |cell: &&Cell| {
-                        names::split_words(name(table, **cell))
-                            .iter()
-                            .any(|word| names::RADIAN_WORDS.contains(&word.as_str()))
-                    };
                     contradiction = cells.iter().find(says_rad).map(|&cell| {
                         let name = name(table, cell);
                         format!(

@@ -437,7 +437,8 @@ pub(super) fn is_joint_velocities(words: &[String]) -> bool {
 /// `current` also means present, as in `current_pos_x`. `motor_iq` and `motor_id` are currents of a three-phase motor.
 fn is_motor_current(words: &[String]) -> bool {
     let is_axis = |pair: &[String]| pair[0] == "motor" && matches!(pair[1].as_str(), "id" | "iq");
-    if words.windows(2).any(is_axis) {
+    let has_quantity = contains_any(words, POSITION_WORDS) || contains_any(words, VELOCITY_WORDS);
+    if words.windows(2).any(is_axis) && !has_quantity {
         return true;
     }
     let is_measured = |word: &String| {

@@ -346,3 +346,28 @@ fn rows_are_received_in_their_order_where_the_clock_steps_back() {
     let span_ns = times.log[299] - times.log[0];
     assert!((span_ns - 2_970_000_000).abs() < 10, "{span_ns}");
 }
+
+#[test]
+fn joints_in_both_units_keep_their_own() {
+    let row = |row: usize| {
+        let rad = |joint: usize| 2.0 * wave(row + 10 * joint);
+        let cells = (0..6).map(|joint| rad(joint).to_degrees()).chain((6..12).map(rad));
+        let cells: Vec<String> = cells.map(|cell| format!("{cell:.6}")).collect();
+        format!("{:.2},{}\n", 0.01 * row as f64, cells.join(","))
+    };
+    let names = |unit: &str| (1..=6).map(|joint| format!(",q{joint}_{unit}")).collect::<String>();
+    let rows: String = (0..300).map(row).collect();
+    let log = plain(format!("time{}{}\n{rows}", names("deg"), names("rad")).as_bytes());
+    let joints = log.topics.iter().filter_map(|topic| match &topic.columns {
+        Some(Columns::Joints(joints)) => Some(joints),
+        _ => None,
+    });
+    let units: Vec<(bool, bool)> = joints
+        .zip([299, 359])
+        .map(|(joints, at)| {
+            let last = joints.joints[0].position[299];
+            (joints.converted_from_degrees, (last - 2.0 * wave(at)).abs() < 1e-5)
+        })
+        .collect();
+    assert_eq!(units, [(true, true), (false, true)]);
+}
