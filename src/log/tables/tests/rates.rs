@@ -350,24 +350,15 @@ fn rows_are_received_in_their_order_where_the_clock_steps_back() {
 #[test]
 fn joints_in_both_units_keep_their_own() {
     let row = |row: usize| {
-        let rad = |joint: usize| 2.0 * wave(row + 10 * joint);
-        let cells = (0..6).map(|joint| rad(joint).to_degrees()).chain((6..12).map(rad));
-        let cells: Vec<String> = cells.map(|cell| format!("{cell:.6}")).collect();
-        format!("{:.2},{}\n", 0.01 * row as f64, cells.join(","))
+        let rad: Vec<f64> = (0..6).map(|joint| 2.0 * wave(row + 10 * joint)).collect();
+        let deg: Vec<f64> = rad.iter().map(|q| q.to_degrees()).collect();
+        let t_s = 0.01 * row as f64;
+        format!("{{\"time\": {t_s:.2}, \"joints_deg\": {deg:?}, \"joints_rad\": {rad:?}}}\n")
     };
-    let names = |unit: &str| (1..=6).map(|joint| format!(",q{joint}_{unit}")).collect::<String>();
-    let rows: String = (0..300).map(row).collect();
-    let log = plain(format!("time{}{}\n{rows}", names("deg"), names("rad")).as_bytes());
-    let joints = log.topics.iter().filter_map(|topic| match &topic.columns {
-        Some(Columns::Joints(joints)) => Some(joints),
-        _ => None,
-    });
-    let units: Vec<(bool, bool)> = joints
-        .zip([299, 359])
-        .map(|(joints, at)| {
-            let last = joints.joints[0].position[299];
-            (joints.converted_from_degrees, (last - 2.0 * wave(at)).abs() < 1e-5)
-        })
-        .collect();
-    assert_eq!(units, [(true, true), (false, true)]);
+    let log = plain((0..300).map(row).collect::<String>().as_bytes());
+    for (name, is_in_degrees) in [("joints_deg", true), ("joints_rad", false)] {
+        let Some(Columns::Joints(joints)) = &topic(&log, name).columns else { panic!("{name}") };
+        assert_eq!(joints.converted_from_degrees, is_in_degrees, "{name}");
+        assert!((joints.joints[0].position[299] - 2.0 * wave(299)).abs() < 1e-9, "{name}");
+    }
 }
