@@ -150,9 +150,9 @@ fn diagnose_uniform(run: &ArmRun) -> ArmDiagnosis {
     diagnosis
 }
 
-/// Diagnosis after compensating latencies that another cause hides, with the latencies over the run: they vary once the
-/// changes in `found` are removed, or do not explain most of the residual on their own. `None` if there are none, or it is
-/// not likelier.
+/// Diagnosis after compensating latencies that another cause hides, and the latencies over the run. Such a latency varies
+/// only after the changes in `found` are removed, or explains too little of the residual alone. `None` without one, or if
+/// the diagnosis is not likelier.
 fn diagnose_with_hidden_latency(
     run: &ArmRun,
     found: &ArmDiagnosis,
@@ -166,7 +166,7 @@ fn diagnose_with_hidden_latency(
         let profile = confirmed.or(found.unconfirmed_latency.as_ref().filter(|_| is_open))?;
         Some(LatencyProfile { is_unsteady: true, ..profile.clone() })
     };
-    // Beside the compensated variation, if any, only steps can be added.
+    // Only steps can be added to a variation that is already compensated.
     let known = profiles.iter().map(|it| it.as_ref().ok().filter(|before| before.is_unsteady));
     let known: Vec<Option<&LatencyProfile>> = known.collect();
     let total = |s: usize, own: &LatencyProfile| match known[s] {

@@ -144,6 +144,10 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             run.remove_frozen_at_lags(arm, source, &lags_s);
         }
         let of = &run.arms[arm];
+        // The path of a body in the place of joint states may rest while another body moves.
+        if of.trajectory.is_some() {
+            continue;
+        }
         let Some(rows) = rows_at_rest(&of.joints) else { continue };
         let span_s = [rows.start, rows.end - 1].map(|row| of.joints.t_s[row]);
         let in_base_frame = of
