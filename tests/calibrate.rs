@@ -171,6 +171,38 @@ fn a_table_without_stamps_is_calibrated_in_any_unit_and_convention() {
     assert!(before > 5e-4 && after < 3e-5, "{before} {after}");
 }
 
+/// As records of JSON, and as text in another encoding than UTF-8.
+#[test]
+fn tables_of_configurations_are_read_in_other_formats() {
+    let folder = TempDir::new().expect("a folder");
+    let table = table_of_configurations(60, [true; 6]);
+    let rows: Vec<Vec<&str>> =
+        table.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let record = |row: &Vec<&str>| {
+        format!(
+            r#"{{"image": "1.png", "joints": [{}], "pose": [{}]}}"#,
+            row[..6].join(","),
+            row[6..].join(",")
+        )
+    };
+    let records: Vec<String> = rows.iter().map(record).collect();
+    let json_path = path(&folder, "rows.json");
+    fs::write(&json_path, format!("[{}]", records.join(",\n"))).expect("a file");
+    let in_latin = [b"# \xb0\n".as_slice(), table.as_bytes()].concat();
+    let latin_path = path(&folder, "rows.csv");
+    fs::write(&latin_path, in_latin).expect("a file");
+    let layout = "q[6],xyz:mm,_[3]";
+    for log in [json_path, latin_path] {
+        let out = path(&folder, "calibrated");
+        let arguments = ["calibrate", &log, "--robot", "ur10", "--columns", layout];
+        let output = poseaudit(&[&arguments[..], &["--format", "json", "--out", &out]].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let report = json(&output);
+        assert_eq!(report["streams"][0]["samples"], 60, "{report}");
+        fs::remove_dir_all(out).expect("the folder");
+    }
+}
+
 #[test]
 fn a_log_with_one_moving_joint_gives_no_calibration() {
     let folder = TempDir::new().expect("a folder");

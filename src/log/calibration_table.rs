@@ -7,7 +7,9 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
-use super::tables::{LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, rows_of_numbers};
+use super::tables::{
+    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, rows_of_numbers, to_utf8,
+};
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
     AngleUnit, LengthScale, RotationEncoding, rotation_from_matrix_rows, xyzw_from_rotation,
@@ -96,10 +98,12 @@ fn without_poses(path: &Path) -> LogError {
     LogError::Configurations {
         path: path.to_owned(),
         what: "its columns name no position of the tool".to_owned(),
-        remedy: "state the columns, as --columns 'q[6]:deg,xyz:mm' for one table, or as --columns 'JOINTS.csv=q[6]:deg' \
-                 --columns 'POSES.csv=xyz:mm' for two; each row is one configuration",
+        remedy: STATE_COLUMNS,
     }
 }
+
+const STATE_COLUMNS: &str = "state the columns, as --columns 'q[6]:deg,xyz:mm' for one table, or as --columns 'JOINTS.csv=q[6]:deg' \
+     --columns 'POSES.csv=xyz:mm' for two; each row is one configuration";
 
 /// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else.
 ///
@@ -110,8 +114,18 @@ pub fn read_calibration_tables(
     settings: &ColumnSettings,
 ) -> Result<Option<CalibrationTable>, LogError> {
     let [one, other] = paths.map(|path| Ok((path, read_named_numbers(path, settings)?)));
-    let ((first, Some(one)), (second, Some(other))) = (one?, other?) else { return Ok(None) };
     let has_poses = |table: &NumberTable| columns(&table.names).is_some();
+    let ((first, one), (second, other)) = match (one?, other?) {
+        ((first, Some(one)), (second, Some(other))) => ((first, one), (second, other)),
+        ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one))) if !has_poses(&one) => {
+            return Err(LogError::Configurations {
+                path: path.to_owned(),
+                what: "it is not read as a table of configurations".to_owned(),
+                remedy: STATE_COLUMNS,
+            });
+        }
+        _ => return Ok(None),
+    };
     let ((joints_path, mut joints), (poses_path, poses)) =
         match (has_poses(&one), has_poses(&other)) {
             (false, true) => ((first, one), (second, other)),
@@ -155,8 +169,8 @@ fn read_named_numbers(
 ) -> Result<Option<NumberTable>, LogError> {
     let Some(bytes) = read_bytes(path)? else { return Ok(None) };
     let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
-    let of_numpy = || {
-        let rows = rows_of_numbers(&bytes)?;
+    let of_table = |format: TableFormat| {
+        let rows = rows_of_numbers(format, path, &bytes)?;
         let is_finite = |row: &Vec<f64>| row.iter().all(|number| number.is_finite());
         let (rows, dropped): (Vec<_>, Vec<_>) =
             (1..).zip(rows).partition(|(_, row): &(usize, Vec<f64>)| is_finite(row));
@@ -166,7 +180,13 @@ fn read_named_numbers(
             dropped: dropped.into_iter().map(|(at, _)| at).collect(),
         })
     };
-    match (layout, of_numpy().or_else(|| parse_numbers(&bytes, layout))) {
+    let numbers = match file_format::detect_format(&bytes) {
+        FileFormat::Table(format) if layout.is_some() || format == TableFormat::Npy => {
+            of_table(format)
+        }
+        _ => None,
+    };
+    match (layout, numbers.or_else(|| parse_numbers(&bytes, layout))) {
         (Some(layout), Some(numbers)) => named_by_layout(numbers, layout)
             .map(Some)
             .map_err(|what| LogError::Layout { path: path.to_owned(), what }),
@@ -276,17 +296,15 @@ fn parse_numbers(bytes: &[u8], layout: Option<&RowLayout>) -> Option<NumberTable
     let meanings = layout.map(RowLayout::meanings).unwrap_or_default();
     let is_ignored = |at: usize| meanings.get(at) == Some(&Meaning::Ignored);
     let may_have_times = layout.is_none() || meanings.contains(&Meaning::Open);
-    let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
-        .map_or_else(|error| error.error_len().is_none(), |_| true);
     let is_of_records = matches!(
         file_format::detect_format(bytes),
         FileFormat::Table(TableFormat::Json | TableFormat::Yaml)
     );
     let is_log = is_of_records || (may_have_times && super::looks_like_log(bytes));
-    if !is_text || bytes.len() as u64 > MAX_BYTES || is_log {
+    if !is_text(bytes) || bytes.len() as u64 > MAX_BYTES || is_log {
         return None;
     }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = &*to_utf8(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
     let first = bytes
         .split(|byte| *byte == b'\n')
         .find(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"#"))?;

@@ -6,6 +6,7 @@
 
 mod chunks;
 mod clock;
+mod configurations;
 mod csv;
 mod file_names;
 mod hdf5;
@@ -55,6 +56,7 @@ pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Me
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
 use self::clock::ClockError;
+pub(crate) use self::configurations::rows_of_numbers;
 pub(super) use self::csv::{
     column_names, delimiter_of_numbers, has_time, is_header_alone, is_list_of_numbers,
     is_list_of_pairs, is_table, is_table_of_text,
@@ -67,7 +69,6 @@ pub(super) use self::matlab::MAGIC as MATLAB_MAGIC;
 pub(super) use self::meaning::LayoutColumns;
 pub use self::names::COMMAND_WORDS;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
-pub(crate) use self::npy::rows_of_numbers;
 pub(super) use self::records::{
     has_times as has_record_times, is_nested_yaml, is_yaml_list, looks_like_json, looks_like_yaml,
 };
@@ -75,7 +76,7 @@ pub(super) use self::rlds::metadata_files as declared_beside;
 pub(crate) use self::row_layout::{LayoutGroup, LayoutTime};
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
-pub(super) use self::text_encoding::is_text;
+pub(super) use self::text_encoding::{is_text, to_utf8};
 pub(super) use self::tfrecord::has_record;
 pub(super) use self::trajectory::{
     detect as detect_trajectory, is_list_of_times, is_tum_by_name,

@@ -91,21 +91,6 @@ pub(super) fn single_numbers(bytes: &[u8]) -> Option<Vec<f64>> {
     Some(data.chunks_exact(kind.size).take(*rows).map(|bytes| kind.read(bytes)).collect())
 }
 
-/// Rows of a two-dimensional array. `None` for other arrays, and if it is truncated.
-pub(crate) fn rows_of_numbers(bytes: &[u8]) -> Option<Vec<Vec<f64>>> {
-    let (header, kind, data) = plain_array(bytes)?;
-    let [rows, width] = *header.shape.as_slice() else { return None };
-    let count = rows.checked_mul(width).filter(|count| *count > 0)?;
-    let numbers: Vec<f64> =
-        data.chunks_exact(kind.size).take(count).map(|bytes| kind.read(bytes)).collect();
-    let at = |row: usize, column: usize| match header.is_fortran {
-        true => column * rows + row,
-        false => row * width + column,
-    };
-    let row = |row: usize| (0..width).map(|column| numbers[at(row, column)]).collect();
-    (numbers.len() == count).then(|| (0..rows).map(row).collect())
-}
-
 /// An array of one type of numbers, without fields.
 fn plain_array(bytes: &[u8]) -> Option<(Header, ElementType, &[u8])> {
     let (header, data) = bytes.starts_with(MAGIC).then(|| parse_header(bytes).ok()).flatten()?;

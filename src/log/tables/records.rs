@@ -240,10 +240,20 @@ pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
         .map_err(|error| format!("the YAML cannot be read: {error}"))?;
     check_memory(text.len(), context.memory)?;
     let mut documents: Vec<String> = vec![String::new()];
+    let key = |line: &str| {
+        let key = line.split_once(':')?.0;
+        key.starts_with(char::is_alphabetic).then(|| key.to_owned())
+    };
+    let is_content = |line: &&str| !line.trim().is_empty() && !line.starts_with(['#', '%', '-']);
+    let first_key = text.lines().find(is_content).and_then(key);
     for line in text.lines() {
         match line.trim_end() {
             "---" => documents.push(String::new()),
             line => {
+                // A key cannot repeat: another record begins.
+                if first_key.is_some() && key(line) == first_key {
+                    documents.push(String::new());
+                }
                 let last = documents.last_mut();
                 last.into_iter().for_each(|last| last.extend([line, "\n"]));
             }

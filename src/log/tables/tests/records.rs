@@ -136,7 +136,7 @@ fn stamps_of_messages_keep_every_nanosecond() {
 }
 
 #[test]
-fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
+fn yaml_is_a_list_a_record_for_each_key_or_several_records() {
     let numbers = |row: usize| q(row).iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
     let list: String = (0..ROWS)
         .map(|row| {
@@ -166,7 +166,12 @@ fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
             )
         })
         .collect();
-    for text in [list, in_brackets, by_key, documents] {
+    let repeated_keys: String = (0..ROWS)
+        .map(|row| {
+            format!("time: {}\njoint_positions: [{}]\n\n", 0.01 * row as f64, numbers(row))
+        })
+        .collect();
+    for text in [list, in_brackets, by_key, documents, repeated_keys] {
         assert_has_joints(text.as_bytes(), "joint_positions", "yaml");
     }
 }

@@ -1,0 +1,48 @@
+//! Tables of configurations in formats other than text.
+
+use std::path::Path;
+
+use super::{ReadContext, Table, TableFormat, matlab, npy, records, xlsx};
+use crate::losses::Losses;
+use crate::memory_budget::MemoryBudget;
+
+/// Rows of the numbers in the only table of the file at `path`, in the order of its columns; text is 0. `None` for other
+/// formats, several tables, and damaged files.
+pub(crate) fn rows_of_numbers(
+    format: TableFormat,
+    path: &Path,
+    bytes: &[u8],
+) -> Option<Vec<Vec<f64>>> {
+    let mut memory = MemoryBudget::new(None);
+    memory.add_file(bytes.len() as u64);
+    let mut losses = Losses::new(path);
+    let context = &mut ReadContext { losses: &mut losses, memory: &mut memory, times: Vec::new() };
+    let tables = match format {
+        TableFormat::Npy => npy::read_npy(bytes, context),
+        TableFormat::Npz => npy::read_npz(bytes, context),
+        TableFormat::Matlab => matlab::read(bytes, context),
+        TableFormat::Xlsx => xlsx::read(bytes, context),
+        TableFormat::Json => records::read_json(bytes, context),
+        TableFormat::Yaml => records::read_yaml(bytes, context),
+        _ => return None,
+    };
+    match tables.ok()?.as_slice() {
+        [(_, table)] => Some(table.rows_of_numbers()),
+        _ => None,
+    }
+}
+
+impl Table {
+    fn rows_of_numbers(&self) -> Vec<Vec<f64>> {
+        let cells = self.row_cells();
+        let number = |row: usize, (column, part): (usize, usize)| {
+            let column = &self.columns[column];
+            column.values[row * column.width + part]
+        };
+        let row = |row: usize| {
+            let numbers = cells.iter().map(|cell| cell.map_or(0.0, |cell| number(row, cell)));
+            numbers.collect()
+        };
+        (0..self.rows).map(row).collect()
+    }
+}
