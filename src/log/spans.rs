@@ -1,4 +1,4 @@
-use ground::time::Stamp;
+use ground::time::{NANOS_PER_SECOND, Stamp};
 
 pub(super) type Span = (Stamp, Stamp);
 
@@ -41,6 +41,16 @@ pub(super) fn neighbours(
     })
 }
 
+/// A time of 0 is not set, if the other times are since 1970.
 pub(super) fn join(a: Span, b: Span) -> Span {
+    /// 2001. A clock that starts with the robot does not reach it.
+    const EPOCH: Stamp = Stamp::from_nanos(1_000_000_000 * NANOS_PER_SECOND);
+    let is_unset = |a: Span, b: Span| a.1 == Stamp::from_nanos(0) && b.0 >= EPOCH;
+    if is_unset(a, b) {
+        return b;
+    }
+    if is_unset(b, a) {
+        return a;
+    }
     (a.0.min(b.0), a.1.max(b.1))
 }

@@ -166,10 +166,7 @@ impl TopicContent {
 
     pub(super) fn record_span(&mut self, file: usize, at: Stamp) {
         match self.spans.last_mut() {
-            Some((last, (first_at, last_at))) if *last == file => {
-                *first_at = at.min(*first_at);
-                *last_at = at.max(*last_at);
-            }
+            Some((last, span)) if *last == file => *span = join(*span, (at, at)),
             _ => self.spans.push((file, (at, at))),
         }
     }

@@ -24,9 +24,14 @@ pub(super) struct PartBounds {
 
 impl PartBounds {
     pub(super) fn measure(part: &CadencePart<'_>, clock: &StreamClock) -> Option<Self> {
-        let received = part.rows.iter().map(|row| part.times.log[row]);
-        let known = part.rows.iter().filter_map(|row| clock.stamp_of(part.times, row));
-        Some(Self { received: min_max(received)?, stamps: min_max(known)? })
+        let stamp = |row: usize| clock.stamp_of(part.times, row);
+        // Receive times of messages without stamps may be unset, too.
+        let stamped = part.rows.iter().filter(|row| stamp(*row).is_some());
+        let received = stamped.map(|row| part.times.log[row]);
+        Some(Self {
+            received: min_max(received)?,
+            stamps: min_max(part.rows.iter().filter_map(stamp))?,
+        })
     }
 
     pub(super) fn join(self, other: Self) -> Self {
