@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use poseaudit::finding::Status;
+use poseaudit::geometry::{Convention, rotation_from_xyzw};
 use poseaudit::log::FileLayout;
 use poseaudit::report::{Report, Trouble, Verdict};
 use poseaudit::{Options, audit};
@@ -26,7 +27,6 @@ fn audit_with(
     options.run.robots = robot.into_iter().map(Into::into).collect();
     let layouts: Vec<FileLayout> =
         columns.into_iter().map(|text| text.parse().expect("a layout")).collect();
-    options.run.declare_layouts(&layouts, "--columns");
     options.read.columns.layouts = layouts;
     audit(&options).map(poseaudit::Audited::into_report)
 }
@@ -239,6 +239,37 @@ fn files_of_one_run_are_joined_by_their_times() {
         assert!((value_of(&found, "LAT001") - 0.06).abs() < 1e-3);
         let notes: Vec<&str> = found.log.notes.iter().map(|row| row.note.as_str()).collect();
         assert!(!notes.iter().any(|note| note.contains("metadata.yaml")), "{notes:?}");
+    }
+}
+
+/// Neither has joints: each layout declares the encoding of its poses.
+#[test]
+fn two_files_of_poses_are_compared_in_their_declared_encodings() {
+    const LATENCY_S: f64 = 0.06;
+    let folder = tempfile::tempdir().expect("a folder");
+    let poses = |name: &str, latency_s: f64, convention: &str| {
+        let convention: Convention = convention.parse().expect("a convention");
+        let row = |row: Vec<f64>| {
+            let xyzw = [10, 11, 12, 13].map(|at| row[at]);
+            let rotation = rotation_from_xyzw(xyzw).expect("a rotation");
+            [&row[..1], &row[7..10], &convention.numbers(&rotation)].concat()
+        };
+        let rows: Vec<Vec<f64>> =
+            Table { latency_s, ..CLEAN }.rows().into_iter().map(row).collect();
+        write(folder.path(), name, &text(&rows))
+    };
+    let on_time = poses("arm.csv", 0.0, "rotvec");
+    for (convention, layouts) in [
+        ("rotvec", vec!["t,xyz,rotvec"]),
+        ("euler:ZYX", vec!["arm.csv=t,xyz,rotvec", "tracker.csv=t,xyz,euler:ZYX"]),
+    ] {
+        let late = poses("tracker.csv", LATENCY_S, convention);
+        let mut options = Options { logs: vec![on_time.clone(), late], ..Options::default() };
+        options.read.columns.layouts =
+            layouts.into_iter().map(|text| text.parse().expect("a layout")).collect();
+        let found = audit(&options).map(poseaudit::Audited::into_report).expect("a report");
+        assert_eq!(fault_codes(&found), ["LAT001"], "{:?}", found.findings);
+        assert!((value_of(&found, "LAT001").abs() - LATENCY_S).abs() < 1e-3);
     }
 }
 

@@ -216,7 +216,6 @@ impl AuditOptions {
 /// Replaces the layouts of the config.
 pub fn use_columns(options: &mut poseaudit::Options, columns: Vec<FileLayout>) {
     if !columns.is_empty() {
-        options.run.declare_layouts(&columns, "--columns");
         options.read.columns.layouts = columns;
     }
 }

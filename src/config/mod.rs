@@ -99,10 +99,6 @@ impl Config {
         policy.rules.required = self.file.require.iter().map(|code| code.0.clone()).collect();
         policy.rules.exemptions = self.exemptions();
         self.file.rules.apply(&mut policy.rules);
-        run.declare_layouts(
-            &self.file.columns.layouts(),
-            &format!("`columns.layout` in {}", self.path.display()),
-        );
         let read = ReadOptions { columns: self.file.columns.settings(), ..ReadOptions::default() };
         Options { read, run, policy, config: Some(self.path.clone()), ..Options::default() }
     }

@@ -233,7 +233,7 @@ pub(super) fn arm_evidence(
         let vibration = vibration_of_poses(&source.track, &found, &arm.joints);
         let vibration = VibrationEvidence { in_other_units, vibration };
         let vibration = arm_stream_evidence(run, arm, source.stream, vibration);
-        let euler = euler(run, source, &found, &options.declared);
+        let euler = euler(run, source, &found);
         let pose = poses.evidence(source, found, euler);
         (arm_stream_evidence(run, arm, source.stream, pose), vibration)
     };

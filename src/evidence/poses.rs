@@ -122,7 +122,6 @@ pub(super) fn euler(
     run: &Run,
     source: &PoseSource,
     found: &PoseDiagnosis,
-    declared: &[Declaration],
 ) -> Option<EulerEvidence> {
     let stream = run.streams.get(source.stream)?;
     let Some(Columns::Array(array)) = &stream.columns else { return None };
@@ -131,7 +130,7 @@ pub(super) fn euler(
         return None;
     }
     let names = |declared: &&Declaration| declared.is_of(&stream.topic);
-    let declared = declared.iter().find(names);
+    let declared = run.declared.iter().find(names);
     let reading = found.encoding.as_ref().ok().filter(|reading| reading.is_determined);
     let told = reading.and_then(|reading| match reading.best {
         PoseEncoding::Numbers(convention) => Some(convention),

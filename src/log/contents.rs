@@ -3,6 +3,8 @@ use std::path::PathBuf;
 use ground::stream::Columns;
 use ground::time::Stamp;
 
+use super::tables::RowLayout;
+
 /// Encoding of a table's topics.
 const TABLE: &str = "table";
 /// The same of a table by UR's RTDE client.
@@ -221,6 +223,8 @@ pub struct TableShape {
     pub layout: Option<String>,
     /// Why the layout is only a proposal; `None` if it is how the columns were read.
     pub layout_reason: Option<String>,
+    /// The caller's layout.
+    pub given_layout: Option<RowLayout>,
 }
 
 /// One column in the rows of a table.

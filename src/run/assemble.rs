@@ -10,6 +10,7 @@ mod tool_poses;
 mod trajectories;
 mod transforms;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::log::Log;
@@ -62,6 +63,10 @@ impl Run {
     /// # Errors
     /// If the caller's options are invalid. Faults of the log itself are in [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
+        let options = &match log.declared_poses() {
+            poses if poses.is_empty() => Cow::Borrowed(options),
+            poses => Cow::Owned(options.clone().with_declared(poses)),
+        };
         let given = models::read_given_or_shared(options)?;
         let calibrations = given_calibrations::given(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
@@ -158,6 +163,7 @@ impl Run {
         let rhythms = measure_rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let Timing { clocks, excerpts, sample_filter } = timing;
         Ok(Run {
+            declared: options.declared.clone(),
             origin,
             span,
             streams,

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use crate::geometry::{
     AngleUnit, ConventionError, LengthScale, RotationEncoding, UnitError, Units, vendors,
 };
-use crate::log::FileLayout;
+use crate::log::DeclaredPose;
 use crate::robot::Robot;
 use crate::stream::Columns;
 
@@ -190,9 +190,10 @@ impl FromStr for Declaration {
 }
 
 impl RunOptions {
-    /// Declares the poses of table layouts, unless declared otherwise. `place` names their source.
-    pub fn declare_layouts(&mut self, layouts: &[FileLayout], place: &str) {
-        for pose in layouts.iter().flat_map(|own| own.layout.poses()) {
+    /// With the poses of table layouts declared, unless they are declared otherwise.
+    pub(super) fn with_declared(mut self, poses: Vec<DeclaredPose>) -> Self {
+        let place = "--columns";
+        for pose in poses {
             let settings = TopicSettings {
                 topic: pose.topic.clone(),
                 place: place.to_owned(),
@@ -216,6 +217,7 @@ impl RunOptions {
                 });
             }
         }
+        self
     }
 }
 

@@ -170,6 +170,8 @@ pub struct Run {
     pub arms: Vec<Arm>,
     /// Camera targets with candidate hands.
     pub targets: Vec<TargetSource>,
+    /// Encodings that the caller declares.
+    pub declared: Vec<Declaration>,
     /// Commands to the arms (reference inputs, not frames).
     pub references: Vec<ReferenceSource>,
     /// All frames and transforms.

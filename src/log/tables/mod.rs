@@ -179,6 +179,7 @@ impl Table {
             lacks_times: false,
             layout: None,
             layout_reason: None,
+            given_layout: None,
         }
     }
 
@@ -644,6 +645,7 @@ impl Tables {
         let shape = table.shape(path, &clock);
         let shape = TableShape {
             layout: row_layout.map(RowLayout::to_string),
+            given_layout: row_layout.cloned(),
             rate_hz: shape.rate_hz.filter(|_| !lacks_times),
             lacks_times,
             ..shape

@@ -26,6 +26,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::contents::Log;
 use ground::geometry::{AngleUnit, LengthScale, RotationEncoding, Units, vendors};
 
 /// Columns in one item.
@@ -288,6 +289,21 @@ pub struct DeclaredPose {
     pub units: Units,
 }
 
+impl Log {
+    /// The poses that the caller's layouts declare.
+    pub fn declared_poses(&self) -> Vec<DeclaredPose> {
+        let declared = self.topics.iter().filter_map(|topic| {
+            let first = topic.cells.first()?;
+            let table = &self.tables[first.table];
+            let index = table.numbers.iter().position(|number| number.at == Some(first.at))?;
+            let LayoutGroup { is_command, coding, units, .. } =
+                table.given_layout.as_ref()?.pose_at(index)?;
+            Some(DeclaredPose { topic: topic.name.clone(), is_command, coding, units })
+        });
+        declared.collect()
+    }
+}
+
 /// Columns of the times in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum LayoutTime {
@@ -322,16 +338,9 @@ impl RowLayout {
         &self.items
     }
 
-    /// The poses that it declares.
-    pub fn poses(&self) -> Vec<DeclaredPose> {
-        let groups = self.groups().into_iter().filter(LayoutGroup::has_pose);
-        let declared = groups.map(|group| DeclaredPose {
-            topic: group.topic("pose"),
-            is_command: group.is_command,
-            coding: group.coding,
-            units: group.units,
-        });
-        declared.collect()
+    /// The pose whose first number is at `index` of a row.
+    fn pose_at(&self, index: usize) -> Option<LayoutGroup> {
+        self.groups().into_iter().find(|group| group.pose().first() == Some(&index))
     }
 
     /// Index of each item's first number, with the item.
@@ -750,8 +759,9 @@ mod tests {
                 .parse()
                 .unwrap();
         assert_eq!(layout.time(), LayoutTime::SecondsAndNanos([0, 1]));
-        let poses = layout.poses();
-        let names: Vec<&str> = poses.iter().map(|pose| pose.topic.as_str()).collect();
+        let groups = layout.groups();
+        let poses: Vec<&LayoutGroup> = groups.iter().filter(|group| group.has_pose()).collect();
+        let names: Vec<String> = poses.iter().map(|pose| pose.topic("pose")).collect();
         assert_eq!(names, ["left/pose", "right/pose_commands"]);
         assert_eq!(poses[0].coding, Some(RotationEncoding::Xyzw));
         assert_eq!(poses[1].coding, Some("euler:ZYX".parse().unwrap()));

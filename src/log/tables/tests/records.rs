@@ -167,9 +167,7 @@ fn yaml_is_a_list_a_record_for_each_key_or_several_records() {
         })
         .collect();
     let repeated_keys: String = (0..ROWS)
-        .map(|row| {
-            format!("time: {}\njoint_positions: [{}]\n\n", 0.01 * row as f64, numbers(row))
-        })
+        .map(|row| format!("time: {}\njoint_positions: [{}]\n\n", 0.01 * row as f64, numbers(row)))
         .collect();
     for text in [list, in_brackets, by_key, documents, repeated_keys] {
         assert_has_joints(text.as_bytes(), "joint_positions", "yaml");
