@@ -12,7 +12,7 @@ use flate2::read::ZlibDecoder;
 
 use self::elements::{ElementArray, ElementArrays};
 use super::npy::{ElementType, RawArray, tables_of_arrays};
-use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, RATE_NAMES, ReadContext, TableError};
+use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_by_name};
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"MATLAB 5.0 MAT-file";
@@ -231,9 +231,7 @@ impl Variables {
         };
         if element.is_none() && sides.iter().all(|side| *side == 1) {
             let value = (data.len() >= kind.size()).then(|| kind.read(data));
-            let rate = value.filter(super::is_rate);
-            let is_rate = RATE_NAMES.contains(&name.to_lowercase().as_str());
-            self.rate_hz = rate.filter(|_| is_rate).or(self.rate_hz);
+            self.rate_hz = value.and_then(|value| rate_by_name(&name, value)).or(self.rate_hz);
             return Ok(());
         }
         // Numbers are stored by columns. The pages of a three-dimensional array are its rows.

@@ -36,7 +36,7 @@ mod xlsx;
 mod zarr;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::{Path, PathBuf};
 
 use ::bytes::Bytes;
@@ -99,9 +99,6 @@ const MAX_METADATA_BYTES: u64 = 4 << 20;
 const MAX_PARAMETERS: usize = 16;
 /// Nesting of groups and features.
 const MAX_DEPTH: usize = 8;
-/// Names of the sampling rate.
-const RATE_NAMES: &[&str] =
-    &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "rate", "hz"];
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
@@ -907,14 +904,30 @@ fn pose_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> PoseColum
     }
 }
 
+/// Rate of a table, Hz, by a number with this name: the rate or the period of its samples.
+fn rate_by_name(name: &str, value: f64) -> Option<f64> {
+    const RATES: &[&str] =
+        &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "rate", "hz"];
+    const PERIODS: &[&str] =
+        &["dt", "ts", "sample_time", "sampling_time", "sampling_period", "time_step", "timestep"];
+    /// Periods in s. Longer ones may be those of a motion, or in another unit.
+    const PERIODS_S: RangeInclusive<f64> = 1e-4..=1.0;
+    let name = name.to_lowercase();
+    match name.as_str() {
+        name if RATES.contains(&name) => Some(value).filter(is_rate),
+        name if PERIODS.contains(&name) && PERIODS_S.contains(&value) => Some(1.0 / value),
+        _ => None,
+    }
+}
+
 fn is_rate(rate_hz: &f64) -> bool {
     (1e-3..=1e6).contains(rate_hz)
 }
 
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
-    let own = RATE_NAMES.iter().find_map(|name| all.get(*name)?.as_f64());
-    own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
+    let own = all.iter().find_map(|(name, value)| rate_by_name(name, value.as_f64()?));
+    own.or_else(|| all.values().find_map(rate_in))
 }
 
 /// Number of arrays that may have each number of rows. A `k` by `N` array has `k` or `N`.

@@ -6,8 +6,8 @@ use std::io::{Cursor, Read};
 
 use super::chunks::unravel_index;
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext, RowCounts,
-    Table, TableError, is_transposed, row_counts,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, RowCounts, Table,
+    TableError, is_transposed, rate_by_name, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -136,8 +136,8 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
         match unpack_member(&mut archive, index, MAX_HEADER_BYTES as u64 + 64) {
             Ok(head) => match parse_header(&head) {
                 Ok((header, _)) if header.is_scalar() => {
-                    let rate = scalar_value(&head).filter(super::is_rate);
-                    rate_hz = rate.filter(|_| RATE_NAMES.contains(&name.as_str())).or(rate_hz);
+                    let rate = scalar_value(&head).and_then(|value| rate_by_name(&name, value));
+                    rate_hz = rate.or(rate_hz);
                 }
                 Ok((header, data)) => arrays.push((index, name, header, head.len() - data.len())),
                 Err(why) => unread.push((name, why.to_string())),

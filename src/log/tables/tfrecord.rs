@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext,
-    RowLoss, Table, TableError, most_frequent,
+    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, ReadColumn, ReadContext, RowLoss,
+    Table, TableError, most_frequent, rate_by_name,
 };
 use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
@@ -147,9 +147,10 @@ impl Example {
     }
 
     fn rate_hz(&self) -> Option<f64> {
-        let is_rate = |name: &str| RATE_NAMES.contains(&name.rsplit('/').next().unwrap_or(name));
-        let rate = self.features.iter().find(|(name, own)| is_rate(name) && own.len() == 1);
-        rate.map(|(_, own)| own[0]).filter(super::is_rate)
+        self.features.iter().find_map(|(name, own)| match own.as_slice() {
+            [value] => rate_by_name(name.rsplit('/').next().unwrap_or(name), *value),
+            _ => None,
+        })
     }
 
     fn table(
