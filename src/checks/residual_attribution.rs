@@ -535,6 +535,23 @@ pub(super) fn model_doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
     residual_doubt(smallest_residual_m(arm), effect_m)
 }
 
+/// The same for a joint zero of this size, rad. Rotations show a zero whatever the lengths of the links.
+pub(super) fn zero_doubt(arm: &ArmEvidence, zero_rad: f64) -> Option<String> {
+    model_doubt(arm, 0.0).filter(|_| !rotations_show_zero(arm, zero_rad))
+}
+
+/// Whether the angle that remains in some stream is small relative to a joint zero.
+pub(super) fn rotations_show_zero(arm: &ArmEvidence, zero_rad: f64) -> bool {
+    arm.poses.iter().map(|stream| &stream.diagnosis).any(|found| {
+        let is_small = |residual: &StreamResidual| {
+            MIN_EFFECT_RATIO * residual.excess_rad.value < zero_rad.abs()
+        };
+        !found.is_derived
+            && found.encoding.is_ok()
+            && found.residual.as_ref().is_ok_and(is_small)
+    })
+}
+
 /// The same, from the residual.
 pub(super) fn residual_doubt(residual_m: f64, effect_m: f64) -> Option<String> {
     (residual_m > MIN_UNEXPLAINED_M && effect_m < MIN_EFFECT_RATIO * residual_m).then(|| {

@@ -56,7 +56,10 @@ impl UnexplainedResidual {
             _ => f64::INFINITY,
         };
         let is_within = |length_m: f64, angle_rad: f64| {
-            effect_m < times * length_m || turn_rad < MIN_ZERO_ANGLE_RATIO * angle_rad
+            let is_shown_by_rotations =
+                turn_rad.is_finite() && angle_rad > 0.0 && turn_rad > times * angle_rad;
+            !is_shown_by_rotations
+                && (effect_m < times * length_m || turn_rad < MIN_ZERO_ANGLE_RATIO * angle_rad)
         };
         let is_shown_by_another = || {
             let poses = arm.into_iter().flat_map(|arm| &arm.poses);

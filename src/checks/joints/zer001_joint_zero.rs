@@ -159,9 +159,9 @@ fn judge_constant(
             ))
         }
         (Decision::Fail(severity), _) if offset.is_chosen => {
-            match residual_attribution::model_doubt(arm, 0.0)
+            match residual_attribution::zero_doubt(arm, measured.value)
                 .or_else(|| unobservable_tool_reason(arm))
-                .or_else(|| wrong_model_reason(case, arm, offset))
+                .or_else(|| wrong_model_reason(case, arm, offset, measured.value))
             {
                 Some(why) => Outcome::Inconclusive(why),
                 None => Outcome::fail(fault(case, arm, joint, measured, severity)),
@@ -214,7 +214,12 @@ fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
 }
 
 /// If the residual of each stream exceeds the thresholds of MDL001, the zero may be the effect of a wrong model.
-fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
+fn wrong_model_reason(
+    case: &Case,
+    arm: &ArmEvidence,
+    offset: &JointOffset,
+    zero_rad: f64,
+) -> Option<String> {
     /// Link deviations do not give a zero's effect a larger ratio to the residual.
     const MIN_EFFECT_RATIO: f64 = 30.0;
     let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
@@ -230,6 +235,7 @@ fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> O
         let has_large_rotation = lower_bound(&residual.excess_rad) > limits.angle.warning;
         (is_long || has_large_rotation)
             && offset.effect_m < MIN_EFFECT_RATIO * residual.excess_m.value
+            && !residual_attribution::rotations_show_zero(arm, zero_rad)
     })?;
     Some(format!(
         "a residual of {} and {} is unexplained (MDL001); use the arm's own calibration, or {SETTLE}",
