@@ -160,28 +160,16 @@ fn between(one: &[Vec3], other: &[Vec3]) -> f64 {
     const MIN_SQUARED_LENGTH: f64 = 1e-12;
     let (d1, d2, r) = (one[1] - one[0], other[1] - other[0], one[0] - other[0]);
     let (a, e, f) = (d1.norm_squared(), d2.norm_squared(), d2.dot(&r));
-    let (s, t) = if a <= MIN_SQUARED_LENGTH && e <= MIN_SQUARED_LENGTH {
-        (0.0, 0.0)
-    } else if a <= MIN_SQUARED_LENGTH {
-        (0.0, (f / e).clamp(0.0, 1.0))
-    } else {
-        let c = d1.dot(&r);
-        if e <= MIN_SQUARED_LENGTH {
-            ((-c / a).clamp(0.0, 1.0), 0.0)
-        } else {
-            let b = d1.dot(&d2);
-            let denominator = a * e - b * b;
-            let s = match denominator > MIN_SQUARED_LENGTH * a * e {
-                true => ((b * f - c * e) / denominator).clamp(0.0, 1.0),
-                false => 0.0,
-            };
-            match (b * s + f) / e {
-                t if t < 0.0 => ((-c / a).clamp(0.0, 1.0), 0.0),
-                t if t > 1.0 => (((b - c) / a).clamp(0.0, 1.0), 1.0),
-                t => (s, t),
-            }
-        }
+    let (b, c) = (d1.dot(&d2), d1.dot(&r));
+    let share = |part: f64, whole: f64| (part / whole.max(MIN_SQUARED_LENGTH)).clamp(0.0, 1.0);
+    let denominator = a * e - b * b;
+    let s = match denominator > MIN_SQUARED_LENGTH * a * e {
+        true => ((b * f - c * e) / denominator).clamp(0.0, 1.0),
+        false => 0.0,
     };
+    let t = share(b * s + f, e);
+    // Differs from the first one if `t` is at an end.
+    let s = share(b * t - c, a);
     (one[0] + d1 * s - other[0] - d2 * t).norm()
 }
 
