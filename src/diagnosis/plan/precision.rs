@@ -13,6 +13,7 @@ use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
 use nalgebra::DMatrix;
+use std::ops::Range;
 
 /// For a 95 % interval.
 const HALF_WIDTH_SIGMAS: f64 = 1.959_963_985;
@@ -125,18 +126,18 @@ impl PrecisionQuery {
 }
 
 pub(super) struct LinearizedMotion<'a> {
-    sensing: &'a Sensing,
+    chain: &'a Chain,
+    motion: &'a JointTrack,
     purpose: Purpose,
+    sensing: &'a Sensing,
     seconds: f64,
-    t_s: &'a [f64],
-    joints: usize,
     linear: Linear,
 }
 
 impl<'a> LinearizedMotion<'a> {
     /// `None` if joint positions between the rows are unknown.
     pub fn new(
-        chain: &Chain,
+        chain: &'a Chain,
         motion: &'a JointTrack,
         purpose: Purpose,
         sensing: &'a Sensing,
@@ -149,17 +150,10 @@ impl<'a> LinearizedMotion<'a> {
             }
             _ => tip_derivatives(chain, motion),
         };
-        let seconds = motion.t_s.last()? - motion.t_s.first()?;
-        let t_s = &motion.t_s;
-        let joints = chain.dof();
-        (linear.len() == motion.len()).then_some(Self {
-            sensing,
-            purpose,
-            seconds,
-            t_s,
-            joints,
-            linear,
-        })
+        let (first_s, last_s) = motion.span()?;
+        let seconds = last_s - first_s;
+        let is_whole = linear.len() == motion.len();
+        is_whole.then_some(Self { chain, motion, purpose, sensing, seconds, linear })
     }
 
     /// Information in at most `most` samples.
@@ -179,10 +173,10 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
-        let (width, middle_s) = (information.ncols(), self.t_s[0] + 0.5 * self.seconds);
+        let (width, middle_s) = (information.ncols(), self.motion.t_s[0] + 0.5 * self.seconds);
         let mut with = information.resize(width + 1, width + 1, 0.0);
         for sample in 0..self.linear.len() {
-            let since_s = self.t_s[sample] - middle_s;
+            let since_s = self.motion.t_s[sample] - middle_s;
             for row in (3..6).map(|row| self.linear.row(sample, row)) {
                 let drift = row[YAW_PARAMETER] * since_s / noise_rad.powi(2);
                 for (column, value) in row.iter().enumerate() {
@@ -196,7 +190,7 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     fn links(&self) -> usize {
-        6 * (self.joints + 1)
+        6 * (self.chain.dof() + 1)
     }
 
     fn latency(&self) -> usize {
@@ -215,7 +209,7 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// Link deviations (prior `link`) and latency are free.
-    fn zeros_with_links_query(&self, zeros: &[usize], link: (f64, f64)) -> PrecisionQuery {
+    fn zeros_with_links_query(&self, zeros: Range<usize>, link: (f64, f64)) -> PrecisionQuery {
         let frames = self.frames();
         let before = |i: usize| match i % 6 {
             _ if frames.contains(&i) => FREE_PRIOR,
@@ -223,7 +217,7 @@ impl<'a> LinearizedMotion<'a> {
             _ => link.1,
         };
         let links = (0..self.links()).map(|i| (i, before(i)));
-        let zeros = zeros.iter().map(|&joint| (self.zero(joint), ZERO_PRIOR));
+        let zeros = zeros.map(|joint| (self.zero(joint), ZERO_PRIOR));
         let all = links.chain([(self.latency(), FREE_PRIOR)]).chain(zeros);
         let (parameters, before): (Vec<usize>, Vec<f64>) = all.unzip();
         PrecisionQuery {
@@ -234,57 +228,45 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// Query about the first `requested` parameters.
-    fn flat_query(parameters: Vec<usize>, requested: usize) -> PrecisionQuery {
-        let before = vec![f64::INFINITY; parameters.len()];
-        PrecisionQuery { parameters, prior: before, requested: (0..requested).collect() }
+    fn flat_query(parameters: impl Iterator<Item = usize>, requested: usize) -> PrecisionQuery {
+        let parameters: Vec<usize> = parameters.collect();
+        let prior = vec![f64::INFINITY; parameters.len()];
+        PrecisionQuery { parameters, prior, requested: (0..requested).collect() }
     }
 
     fn link(&self) -> (f64, f64) {
         (self.sensing.link_m, RAD_PER_M * self.sensing.link_m)
     }
 
-    /// Latency and frames are free.
-    fn zeros(&self) -> PrecisionQuery {
-        let zeros = (0..self.joints).map(|joint| self.zero(joint));
-        let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
-        Self::flat_query(parameters, self.joints)
-    }
-
     fn calibration(&self) -> PrecisionQuery {
-        let links = self.zeros_with_links_query(&[], (LINK_PRIOR_M, LINK_PRIOR_RAD));
+        let links = self.zeros_with_links_query(0..0, (LINK_PRIOR_M, LINK_PRIOR_RAD));
         PrecisionQuery { requested: (0..self.links()).collect(), ..links }
-    }
-
-    fn latency_query(&self) -> PrecisionQuery {
-        let latency = std::iter::once(self.latency());
-        Self::flat_query(latency.chain(self.frames()).collect(), 1)
-    }
-
-    /// Yaw, mount and latency are free.
-    fn yaw_query(&self) -> PrecisionQuery {
-        let (drift, mount) = (self.linear.width, self.links() - 3);
-        let beside = [YAW_PARAMETER, self.latency(), mount, mount + 1, mount + 2];
-        Self::flat_query(
-            [drift, TILT_PARAMETER, TILT_PARAMETER + 1].into_iter().chain(beside).collect(),
-            3,
-        )
     }
 
     /// Query of the purpose, and the number of samples that its estimator uses.
     fn query(&self) -> (PrecisionQuery, usize) {
-        let all: Vec<usize> = (0..self.joints).collect();
+        let joints = self.chain.dof();
+        // Latency and frames are free.
+        let beside = [self.latency()].into_iter().chain(self.frames());
         match self.purpose {
             Purpose::Zeros if self.sensing.link_m > 0.0 => (
-                self.zeros_with_links_query(&all, self.link()),
+                self.zeros_with_links_query(0..joints, self.link()),
                 link_deviations::MAX_DEVIATION_SAMPLES,
             ),
-            Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
-            Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
-            Purpose::Latency => (self.latency_query(), FIT_SAMPLES),
-            Purpose::HandEye => {
-                (Self::flat_query((0..hand_eye::WIDTH).collect(), 6), hand_eye::MAX_FIT_POSES)
+            Purpose::Zeros => {
+                let zeros = (0..joints).map(|joint| self.zero(joint));
+                (Self::flat_query(zeros.chain(beside), joints), FIT_SAMPLES)
             }
-            Purpose::Yaw => (self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES),
+            Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
+            Purpose::Latency => (Self::flat_query(beside, 1), FIT_SAMPLES),
+            Purpose::HandEye => (Self::flat_query(0..hand_eye::WIDTH, 6), hand_eye::MAX_FIT_POSES),
+            Purpose::Yaw => {
+                let requested = [self.linear.width, TILT_PARAMETER, TILT_PARAMETER + 1];
+                let mount = self.links() - 3..self.links();
+                let free = [YAW_PARAMETER, self.latency()].into_iter().chain(mount);
+                let all = requested.into_iter().chain(free);
+                (Self::flat_query(all, 3), imu::MAX_IMU_FIT_SAMPLES)
+            }
         }
     }
 
@@ -295,9 +277,9 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// Precision of the requested quantities.
-    pub fn expected_precisions(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
+    pub fn expected_precisions(&self) -> Vec<ExpectedPrecision> {
         if self.purpose == Purpose::Calibration {
-            return self.calibrated(chain);
+            return self.calibrated();
         }
         let (query, most) = self.query();
         let information = self.information(most);
@@ -310,13 +292,14 @@ impl<'a> LinearizedMotion<'a> {
             Purpose::Yaw => PlannedQuantity::Tilt(at - 1),
         });
         if self.purpose == Purpose::Zeros && self.sensing.link_m > 0.0 {
-            for joint in 0..self.joints {
-                let query = self.zeros_with_links_query(&[joint], self.link());
+            let kinds = self.chain.joint_kinds();
+            for joint in 0..kinds.len() {
+                let query = self.zeros_with_links_query(joint..joint + 1, self.link());
                 found.extend(query.precisions(&information, |_| PlannedQuantity::ZeroAlone(joint)));
             }
             for (at, precision) in found.iter_mut().enumerate() {
                 // Zeros scatter as links do.
-                let scatter = match chain.joint_kinds()[at % self.joints] {
+                let scatter = match kinds[at % kinds.len()] {
                     JointKind::Prismatic => self.link().0,
                     _ => self.link().1,
                 };
@@ -327,10 +310,10 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// Tip error along the motion and over the workspace.
-    fn calibrated(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
+    fn calibrated(&self) -> Vec<ExpectedPrecision> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
-        let everywhere = random_configurations(chain, CONFIGURATIONS, RANDOM_SEED);
-        let far = tip_derivatives(chain, &everywhere);
+        let everywhere = random_configurations(self.chain, CONFIGURATIONS, RANDOM_SEED);
+        let far = tip_derivatives(self.chain, &everywhere);
         let rms = |linear: &Linear, kind: usize| {
             let mut sum = 0.0;
             for sample in 0..linear.len() {
@@ -342,16 +325,12 @@ impl<'a> LinearizedMotion<'a> {
             (sum / linear.len().max(1) as f64).max(0.0).sqrt()
         };
         let of = |everywhere: bool, linear: &Linear| {
-            let quantities = [
-                PlannedQuantity::FkPosition { everywhere },
-                PlannedQuantity::FkRotation { everywhere },
-            ];
-            let each = quantities.into_iter().enumerate();
-            each.map(|(kind, quantity)| ExpectedPrecision {
+            let position = PlannedQuantity::FkPosition { everywhere };
+            let rotation = PlannedQuantity::FkRotation { everywhere };
+            [(position, 0), (rotation, 1)].map(|(quantity, kind)| ExpectedPrecision {
                 quantity,
                 half_width: rms(linear, kind),
             })
-            .collect::<Vec<_>>()
         };
         [of(false, &self.linear), of(true, &far)].concat()
     }

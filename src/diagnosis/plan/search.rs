@@ -60,7 +60,7 @@ pub fn expected_precision(
     sensing: &Sensing,
 ) -> Option<Vec<ExpectedPrecision>> {
     let sampled = sample_motion(motion, chain)?;
-    Some(LinearizedMotion::new(chain, &sampled, purpose, sensing)?.expected_precisions(chain))
+    Some(LinearizedMotion::new(chain, &sampled, purpose, sensing)?.expected_precisions())
 }
 
 /// Samples evaluation rows. `None` if these are more than 2 s apart during motion.
@@ -118,8 +118,7 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
             continue;
         }
         let promises = |motion: &JointTrack| {
-            let linearized = search.linearized(motion);
-            linearized.map_or_else(Vec::new, |it| it.expected_precisions(requirements.chain))
+            search.linearized(motion).map_or_else(Vec::new, |it| it.expected_precisions())
         };
         return Ok(MotionPlan {
             precision: promises(&series.track(2 * EVALUATION_ROWS)),
