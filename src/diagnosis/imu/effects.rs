@@ -204,8 +204,7 @@ impl Effects {
     ) -> Option<ImuMountChange> {
         let effect = self.of(Block::Mount).next()?;
         let (at_s, interval_s) = effect.profile.change_s()?;
-        let columns: Vec<usize> = effect.columns.clone().collect();
-        let size_rad = solved.length(&columns, &effect.values).ok()?;
+        let size_rad = solved.length(effect.columns.clone(), &effect.values).ok()?;
         let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values));
         Some(ImuMountChange { at_s, interval_s, link_from_imu: link_from_imu * slip, size_rad })
     }

@@ -49,9 +49,9 @@ impl GyroFit {
     /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`.
     pub fn rotation_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
-        let mount: Vec<usize> = GyroModel::MOUNT.collect();
         let rotation = rotvec_from_rotation(&imu_from_gyro);
-        let mut size_rad = self.solved.observable_length(&mount, rotation.as_slice()).ok()?;
+        let mut size_rad =
+            self.solved.observable_length(GyroModel::MOUNT, rotation.as_slice()).ok()?;
         let std_error = &mut size_rad.norm.std_error;
         *std_error = std_error.hypot(self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
@@ -311,7 +311,7 @@ impl GyroModel<'_> {
         free.extend(Self::MOUNT.chain([Self::LATENCY, Self::SKEW]));
         let mut solved = solve(self, &free);
         let skew = solved.measure(Self::SKEW, self.delay.skew);
-        if !solved.is_significant(&[Self::SKEW], &[self.delay.skew], SKEW_SIGNIFICANCE) {
+        if !solved.is_significant(Self::SKEW, self.delay.skew, SKEW_SIGNIFICANCE) {
             self.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
             solved = solve(self, &free);
@@ -385,13 +385,9 @@ impl GyroModel<'_> {
             let common = solved.measure(Self::COMMON_SCALE_ERROR, self.scale_error[(0, 0)]).ok()?;
             return Some(GyroScaleError { scale: [common; 3], misalignment_rad: None });
         }
-        let entries: Vec<Measured> = self
-            .scale_columns
-            .clone()
-            .zip(Self::SCALE_ENTRIES)
-            .map(|(parameter, at)| solved.measure(parameter, self.scale_error[at]))
-            .collect::<EstimateResult<_>>()
-            .ok()?;
+        let entries = self.scale_columns.clone().zip(Self::SCALE_ENTRIES);
+        let measured = |(column, at)| solved.measure(column, self.scale_error[at]).ok();
+        let entries: Vec<Measured> = entries.filter_map(measured).collect();
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
         Some(GyroScaleError { scale: [x, y, z], misalignment_rad: Some([yz, xz, xy]) })
     }
@@ -401,9 +397,8 @@ impl GyroModel<'_> {
         solved: &Solved,
         scale_error: Option<GyroScaleError>,
     ) -> EstimateResult<GyroBias> {
-        let bias: Vec<usize> = Self::BIAS.collect();
         let mut vector_rad_s = self.bias_rad_s;
-        let mut length_rad_s = solved.length(&bias, vector_rad_s.as_slice())?;
+        let mut length_rad_s = solved.length(Self::BIAS, vector_rad_s.as_slice())?;
         let mut change = None;
         if let Some(effect) = self.effects.of(Block::Bias).next() {
             let changed_rad_s = self.bias_rad_s + Vec3::from_column_slice(&effect.values);
@@ -417,13 +412,14 @@ impl GyroModel<'_> {
                     (GyroBiasProfile::Step { at_s, interval_s }, both)
                 }
             };
-            let columns: Vec<usize> = effect.columns.clone().collect();
-            let size_rad_s = solved.length(&columns, &effect.values)?;
+            let size_rad_s = solved.length(effect.columns.clone(), &effect.values)?;
             change = Some(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s });
             // The larger of the two biases.
             if changed_rad_s.norm() > self.bias_rad_s.norm() {
                 vector_rad_s = changed_rad_s;
-                length_rad_s = solved.length_of_sum(&bias, &columns, vector_rad_s.as_slice())?;
+                let columns = effect.columns.clone();
+                length_rad_s =
+                    solved.length_of_sum(Self::BIAS, columns, vector_rad_s.as_slice())?;
             }
         }
         let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
@@ -434,8 +430,7 @@ impl GyroModel<'_> {
         let known_mount = self.link.stream.link_from_imu;
         let known_mount = known_mount.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known_mount.rotation.inverse() * self.link_from_imu));
-        let mount: Vec<usize> = Self::MOUNT.collect();
-        solved.mount_error(&mount, error.as_slice())
+        solved.mount_error(Self::MOUNT, error.as_slice())
     }
 
     /// Mean rate about the base's z that the bias simulates.
@@ -541,12 +536,10 @@ impl Model for GyroModel<'_> {
                 squares[(column, column)] += of_mean * unit.norm_squared();
             }
         }
-        noise.groups =
-            vec![self.scale_columns.clone().collect(), vec![Self::SKEW], vec![Self::LATENCY]];
-        noise
-            .groups
-            .extend(self.effects.of(Block::Mount).map(|slip| slip.columns.clone().collect()));
-        noise.groups.push(Self::MOUNT.collect());
+        let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
+        let slip = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
+        noise.groups.push(self.scale_columns.clone());
+        noise.groups.extend(delay.into_iter().chain(slip).chain([Self::MOUNT]));
         noise
     }
 

@@ -236,7 +236,7 @@ impl OrientationModel<'_> {
         let mut solved = solve(self, &free);
         self.mount_rad = self.mount(&solved);
         self.skew = solved.measure(Self::SKEW, self.delay.skew);
-        if !solved.is_significant(&[Self::SKEW], &[self.delay.skew], SKEW_SIGNIFICANCE) {
+        if !solved.is_significant(Self::SKEW, self.delay.skew, SKEW_SIGNIFICANCE) {
             self.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
         }
@@ -260,7 +260,7 @@ impl OrientationModel<'_> {
         let known = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
         let error_in_link = known * error;
-        let length = solved.mount_error(&Self::MOUNT.collect::<Vec<usize>>(), error.as_slice())?;
+        let length = solved.mount_error(Self::MOUNT, error.as_slice())?;
         let turned = self.states().map(|(.., state)| state.rotation * error_in_link);
         let turned: Vec<Vec3> = turned.collect();
         let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
@@ -329,11 +329,11 @@ impl OrientationModel<'_> {
                     let min = errors.iter().min_by(|a, b| a.0.total_cmp(&b.0));
                     let max = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0));
                     profile.heading = min.zip(max).and_then(|(min, max)| {
-                        let columns: Vec<usize> = effect.columns.clone().collect();
+                        let columns = effect.columns.clone();
                         let along = 0.5 * (&max.1 - &min.1);
                         let half = 0.5 * (max.0 - min.0);
                         let amplitude_rad =
-                            solved.measure_combination(&columns, along.as_slice(), half).ok()?;
+                            solved.measure_combination(columns, along.as_slice(), half).ok()?;
                         Some(HeadingError { amplitude_rad, axis })
                     });
                 }
@@ -501,11 +501,9 @@ impl Model for OrientationModel<'_> {
                 noise.squares[(Self::SKEW, Self::SKEW)] += state.rate_noise * since_s.powi(2);
             }
         }
-        noise.groups = vec![vec![Self::SKEW], vec![Self::LATENCY]];
-        noise
-            .groups
-            .extend(self.effects.of(Block::Mount).map(|slip| slip.columns.clone().collect()));
-        noise.groups.push(Self::MOUNT.collect());
+        let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
+        let slip = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
+        noise.groups = delay.into_iter().chain(slip).chain([Self::MOUNT]).collect();
         noise
     }
 

@@ -57,7 +57,7 @@ pub(super) struct DesignNoise {
     /// Expected contribution to `AᵀA`.
     pub squares: DMatrix<f64>,
     /// Columns of equal unit whose combinations are tested together, in the order of fixing.
-    pub groups: Vec<Vec<usize>>,
+    pub groups: Vec<Range<usize>>,
 }
 
 impl DesignNoise {
@@ -153,7 +153,7 @@ impl Excited {
         let mut fixed = Vec::new();
         for group in &noise.groups {
             let own_columns: Vec<usize> =
-                group.iter().copied().filter(|column| free.contains(column)).collect();
+                group.clone().filter(|column| free.contains(column)).collect();
             if own_columns.is_empty() {
                 continue;
             }
@@ -271,13 +271,13 @@ const MAX_FIXED_SHARE: f64 = 1e-3;
 impl Solved {
     /// Estimate with fitted `value`.
     pub fn measure(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
-        self.measure_combination(&[parameter], &[1.0], value)
+        self.measure_combination(parameter..parameter + 1, &[1.0], value)
     }
 
     /// Estimate of a linear combination with fitted `value`.
     pub fn measure_combination(
         &self,
-        parameters: &[usize],
+        parameters: Range<usize>,
         along: &[f64],
         value: f64,
     ) -> EstimateResult<Measured> {
@@ -287,43 +287,47 @@ impl Solved {
     }
 
     /// Length of a vector of parameters.
-    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<MeasuredLength> {
+    pub fn length(
+        &self,
+        parameters: Range<usize>,
+        vector: &[f64],
+    ) -> EstimateResult<MeasuredLength> {
         Ok(MeasuredLength::estimate(vector, &self.block(parameters)?, self.dof))
     }
 
     /// Length of the sum of two vectors of parameters.
     pub fn length_of_sum(
         &self,
-        one: &[usize],
-        other: &[usize],
+        one: Range<usize>,
+        other: Range<usize>,
         sum: &[f64],
     ) -> EstimateResult<MeasuredLength> {
         let n = one.len();
-        let both = self.block(&[one, other].concat())?;
+        let both = self.block(one.chain(other))?;
         let covariance = DMatrix::from_fn(n, n, |i, j| {
             both[(i, j)] + both[(i, n + j)] + both[(n + i, j)] + both[(n + i, n + j)]
         });
         Ok(MeasuredLength::estimate(sum, &covariance, self.dof))
     }
 
-    /// Whether `vector` differs from zero at the level `chance`.
-    pub fn is_significant(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
-        let vector = DVector::from_column_slice(vector);
-        let p_value = |covariance| joint_p_value(&vector, &covariance, self.dof);
-        self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
+    /// Whether a parameter with fitted `value` differs from zero at the level `chance`.
+    pub fn is_significant(&self, parameter: usize, value: f64, chance: f64) -> bool {
+        let value = DVector::from_element(1, value);
+        let covariance = self.block(parameter..parameter + 1);
+        covariance.is_ok_and(|covariance| joint_p_value(&value, &covariance, self.dof) < chance)
     }
 
     /// Length of the observable component: a lower bound.
     pub fn observable_length(
         &self,
-        parameters: &[usize],
+        parameters: Range<usize>,
         vector: &[f64],
     ) -> EstimateResult<MeasuredLength> {
         let n = parameters.len();
         let mut fixed = DMatrix::zeros(n, n);
         for direction in &self.fixed {
-            let own = DVector::from_fn(n, |i, _| direction[parameters[i]]);
-            fixed += &own * own.transpose();
+            let own = direction.rows(parameters.start, n);
+            fixed += own * own.transpose();
         }
         let eigen = fixed.symmetric_eigen();
         let excited =
@@ -341,37 +345,36 @@ impl Solved {
     /// whole error.
     pub fn mount_error(
         &self,
-        parameters: &[usize],
+        parameters: Range<usize>,
         error: &[f64],
     ) -> EstimateResult<MeasuredLength> {
-        let observable = || self.observable_length(parameters, error).ok();
-        self.length(parameters, error).or_else(|why| {
+        let observable = || self.observable_length(parameters.clone(), error).ok();
+        self.length(parameters.clone(), error).or_else(|why| {
             observable().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why)
         })
     }
 
-    fn block(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
-        let is_fixed = |parameter: &usize| {
-            self.fixed.iter().any(|direction| direction[*parameter].powi(2) > MAX_FIXED_SHARE)
+    fn block(
+        &self,
+        parameters: impl Iterator<Item = usize> + Clone,
+    ) -> EstimateResult<DMatrix<f64>> {
+        let is_fixed = |parameter: usize| {
+            self.fixed.iter().any(|direction| direction[parameter].powi(2) > MAX_FIXED_SHARE)
         };
-        if parameters.iter().any(is_fixed) {
+        if parameters.clone().any(is_fixed) {
             return Err(NotObservable::NotExcited);
         }
         self.covariance_of(parameters)
     }
 
-    fn covariance_of(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
-        let at: Vec<usize> = parameters
-            .iter()
-            .map(|parameter| {
-                self.free.binary_search(parameter).map_err(|_| NotObservable::NotExcited)
-            })
-            .collect::<EstimateResult<_>>()?;
-        let block = DMatrix::from_fn(at.len(), at.len(), |i, j| self.covariance[(at[i], at[j])]);
-        if block.iter().all(|value| value.is_finite()) {
-            Ok(block)
-        } else {
-            Err(NotObservable::NotExcited)
-        }
+    fn covariance_of(
+        &self,
+        parameters: impl Iterator<Item = usize>,
+    ) -> EstimateResult<DMatrix<f64>> {
+        let at: Option<Vec<usize>> =
+            parameters.map(|it| self.free.binary_search(&it).ok()).collect();
+        let block = at.map(|at| self.covariance.select_rows(&at).select_columns(&at));
+        let is_finite = |block: &DMatrix<f64>| block.iter().all(|value| value.is_finite());
+        block.filter(is_finite).ok_or(NotObservable::NotExcited)
     }
 }
