@@ -10,8 +10,8 @@ use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMou
 use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, check_explained,
-    mount_of, rms,
+    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
+    check_explained, mount_of, rms,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::{LatencySample, fit_profile};
@@ -321,17 +321,22 @@ impl GyroModel<'_> {
         solved
     }
 
-    /// Rms over the windows, by FK.
-    fn mean_rate_rad_s(&self) -> f64 {
+    /// Windows, with the stamps and the states of the link at both ends.
+    fn ends(&self) -> impl Iterator<Item = (&RangeInclusive<usize>, [(f64, LinkState); 2])> {
         let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;
-        let rate = |window: &RangeInclusive<usize>| {
-            let [first, last] = [*window.start(), *window.end()].map(|k| t_s[k]);
-            let mut rotation =
-                |stamp: f64| Some(self.link.at(self.delay.truth_s(stamp), &mut buffers)?.rotation);
-            Some(angle_between(&rotation(first)?, &rotation(last)?) / (last - first))
-        };
-        rms(self.windows.iter().filter_map(rate))
+        self.windows.iter().filter_map(move |window| {
+            let mut end =
+                |k: usize| Some((t_s[k], self.link.at(self.delay.truth_s(t_s[k]), &mut buffers)?));
+            Some((window, [end(*window.start())?, end(*window.end())?]))
+        })
+    }
+
+    /// Rms over the windows, by FK.
+    fn mean_rate_rad_s(&self) -> f64 {
+        rms(self.ends().map(|(_, [(from_s, first), (to_s, last)])| {
+            angle_between(&first.rotation, &last.rotation) / (to_s - from_s)
+        }))
     }
 
     fn is_dominated_by_shared_ends(&self) -> bool {
@@ -386,7 +391,9 @@ impl GyroModel<'_> {
             return Some(GyroScaleError { scale: [common; 3], misalignment_rad: None });
         }
         let entries = self.scale_columns.clone().zip(Self::SCALE_ENTRIES);
-        let measured = |(column, at)| solved.measure(column, self.scale_error[at]).ok();
+        let measured = |(column, at): (usize, (usize, usize))| {
+            solved.measure(column, self.scale_error[at]).ok()
+        };
         let entries: Vec<Measured> = entries.filter_map(measured).collect();
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
         Some(GyroScaleError { scale: [x, y, z], misalignment_rad: Some([yz, xz, xy]) })
@@ -451,21 +458,12 @@ impl Model for GyroModel<'_> {
         let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD_S]);
         linear.reserve(self.windows.len());
         let mut stamps = Vec::new();
-        let mut buffers = self.link.buffers();
-        let t_s = &self.link.stream.track.t_s;
         let slip_s = self.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
-        for window in &self.windows {
-            let mut link_state = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut buffers);
-            let (Some(first), Some(last)) =
-                (link_state(*window.start()), link_state(*window.end()))
-            else {
-                continue;
-            };
-            let integrated = self.integrate(window);
-            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
+        for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             if slip_s.is_some_and(|(at_s, _)| from_s <= at_s && at_s < to_s) {
                 continue;
             }
+            let integrated = self.integrate(window);
             stamps.push(0.5 * (from_s + to_s));
             let mount = self.mount_at(to_s);
             let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
@@ -514,13 +512,7 @@ impl Model for GyroModel<'_> {
         };
         let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
         let mut noise = DesignNoise::zeros(self.effects.width());
-        let mut buffers = self.link.buffers();
-        for window in &self.windows {
-            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| track.t_s[k]);
-            let mut link_state = |t_s: f64| self.link.at(self.delay.truth_s(t_s), &mut buffers);
-            let (Some(first), Some(last)) = (link_state(from_s), link_state(to_s)) else {
-                continue;
-            };
+        for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             let per_s = 1.0 / (to_s - from_s);
             let base_from_imu = last.rotation * self.mount_at(to_s);
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
