@@ -14,10 +14,10 @@ use super::{
     check_explained, mount_of, rms,
 };
 use crate::latency::correlation::median_period_s;
-use crate::latency::profile::{LatencySample, fit_profile};
+use crate::latency::profile::LatencySample;
 use crate::priors::GYRO_SCALE_PRIOR;
 use crate::solver::linear::Linear;
-use crate::{EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable};
+use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stream::sample_noise;
@@ -36,7 +36,6 @@ pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
     pub bias: EstimateResult<GyroBias>,
-    pub latency_profile: EstimateResult<LatencyProfile>,
     pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
@@ -119,20 +118,12 @@ impl Link<'_> {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
         }
+        let samples = |late_s: &dyn Fn(f64) -> f64| model.latency_samples(late_s);
+        let latency_profile = self.latency_profile(moves, &model.delay, samples);
         Ok(GyroFit {
-            clock: model.clock.clone(),
+            clock: Clock { latency_profile, ..model.clock.clone() },
             delay: model.delay,
             bias: model.bias(&solved, scale_error),
-            latency_profile: match moves {
-                true => fit_profile(
-                    &model.latency_samples(&|_| 0.0),
-                    1,
-                    model.delay.skew,
-                    self.stream.removed_ramp,
-                    |late_s| Some(model.latency_samples(late_s)),
-                ),
-                false => Err(NotObservable::AtRest),
-            },
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
             mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
@@ -317,7 +308,7 @@ impl GyroModel<'_> {
             solved = solve(self, &free);
         }
         let latency_s = solved.measure(Self::LATENCY, self.delay.latency_s);
-        self.clock = Clock { latency_s, skew };
+        self.clock = Clock { latency_s, skew, ..self.clock.clone() };
         solved
     }
 

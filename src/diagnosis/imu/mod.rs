@@ -24,8 +24,12 @@ use crate::latency::correlation::{
     ArmSpeeds, LagPeak, SpeedSeries, angular_speed, correlation_by_lag, equal_peaks, lag_peaks,
     norm_series,
 };
+use crate::latency::profile::{LatencySample, fit_profile};
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
-use crate::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
+use crate::{
+    AxesError, EstimateResult, IntendedEncoding, LatencyProfile, Measured, NotObservable,
+    PoseEncoding,
+};
 pub use conventions::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use estimates::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
@@ -80,21 +84,17 @@ pub(super) fn diagnose_converted_imu(
         link.fit_orientation(start, moves, gyro.as_ref().ok().filter(|_| moves))
     };
     // If the orientation does not follow the arm, a match of the gyro is coincidence.
-    let timing = match (&orientation, &gyro) {
+    let clock = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
-            let clock = Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() };
-            Ok((clock, fit.latency_profile.clone()))
+            Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
         }
-        (Ok(fit), _) => Ok((fit.clock.clone(), fit.latency_profile.clone())),
-        (Err(NotObservable::NoOrientation), Ok(gyro)) => {
-            Ok((gyro.clock.clone(), gyro.latency_profile.clone()))
-        }
-        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
+        (Ok(fit), _) => fit.clock.clone(),
+        (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
+        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::not_observable(why),
     };
-    let timing = ambiguous_lags(&peaks).map_or(timing, |lags| Err(NotObservable::Periodic(lags)));
-    let (Clock { latency_s, skew }, latency_profile) = match timing {
-        Ok((clock, profile)) => (clock.aligned_to(stream), profile),
-        Err(why) => (Clock::not_observable(&why), Err(why)),
+    let Clock { latency_s, skew, latency_profile } = match ambiguous_lags(&peaks) {
+        Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
+        None => clock.aligned_to(stream),
     };
     let axes_rotation = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if moves => gyro_axes_rotation(&link, lag_s, &fit.link_from_imu, gyro),
@@ -236,11 +236,13 @@ impl Delay {
 struct Clock {
     latency_s: EstimateResult<Measured>,
     skew: EstimateResult<Measured>,
+    latency_profile: EstimateResult<LatencyProfile>,
 }
 
 impl Clock {
     fn not_observable(why: &NotObservable) -> Self {
-        Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
+        let why = why.clone();
+        Self { latency_s: Err(why.clone()), skew: Err(why.clone()), latency_profile: Err(why) }
     }
 
     /// Adds the error of the clock alignment.
@@ -258,6 +260,7 @@ impl Clock {
         Self {
             latency_s: widen(self.latency_s, stream.stamp_error_s),
             skew: widen(self.skew, simulated_skew),
+            ..self
         }
     }
 }
@@ -432,6 +435,20 @@ impl<'a> Link<'a> {
         } else {
             Ok(())
         }
+    }
+
+    /// Latency profile by the samples with an additional latency compensated. There is none at rest.
+    fn latency_profile(
+        &self,
+        moves: bool,
+        delay: &Delay,
+        samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
+    ) -> EstimateResult<LatencyProfile> {
+        if !moves {
+            return Err(NotObservable::AtRest);
+        }
+        let (logged, removed_ramp) = (samples(&|_| 0.0), self.stream.removed_ramp);
+        fit_profile(&logged, 1, delay.skew, removed_ramp, |late_s| Some(samples(late_s)))
     }
 
     /// Evenly thinned rows of the stream.

@@ -16,13 +16,12 @@ use crate::encodings::rotation::{
     estimate_imu_encoding,
 };
 use crate::frames::rotation_frames::mean_rotation;
-use crate::latency::profile::{LatencySample, fit_profile};
+use crate::latency::profile::LatencySample;
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
 use crate::solver::linear::Linear;
 use crate::{
-    EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
-    YawJump, YawProfile,
+    EncodingEstimate, EstimateResult, HeadingPair, Measured, NotObservable, YawJump, YawProfile,
 };
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
@@ -48,7 +47,6 @@ pub(super) struct OrientationFit {
     pub clock: Clock,
     pub drift_rad_s: EstimateResult<Measured>,
     pub yaw_profile: YawProfile,
-    pub latency_profile: EstimateResult<LatencyProfile>,
     pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
@@ -73,10 +71,13 @@ impl Link<'_> {
         }
         self.check_rotation_explained(&model.delay, &solved.residuals)?;
         let clock = match moves {
-            true => {
-                let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);
-                Clock { latency_s, skew: model.skew.clone() }
-            }
+            true => Clock {
+                latency_s: solved.measure(OrientationModel::LATENCY, model.delay.latency_s),
+                skew: model.skew.clone(),
+                latency_profile: self.latency_profile(moves, &model.delay, |late_s| {
+                    model.latency_samples(&solved, late_s)
+                }),
+            },
             false => Clock::not_observable(&NotObservable::AtRest),
         };
         let (yaw_error, headings) = model.yaw_error();
@@ -85,18 +86,8 @@ impl Link<'_> {
             clock,
             drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
             yaw_profile: model.yaw_profile(&solved),
-            latency_profile: match moves {
-                true => fit_profile(
-                    &model.latency_samples(&solved, &|_| 0.0),
-                    1,
-                    model.delay.skew,
-                    self.stream.removed_ramp,
-                    |late_s| Some(model.latency_samples(&solved, late_s)),
-                ),
-                false => Err(NotObservable::AtRest),
-            },
             link_from_imu: model.link_from_imu,
-            mount_change: model.mount_change(&solved),
+            mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
             yaw_error,
             headings,
             mount_rad: model.mount_rad,
@@ -288,10 +279,6 @@ impl OrientationModel<'_> {
             true => (f64::NEG_INFINITY, at_s),
             false => (at_s, f64::INFINITY),
         })
-    }
-
-    fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
-        self.effects.mount_change(&self.link_from_imu, solved)
     }
 
     fn yaw_profile(&self, solved: &Solved) -> YawProfile {
