@@ -301,24 +301,14 @@ fn commanded_point(
     const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
     /// Between start and end, for one and the same point.
     const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
-    let commands = [
-        motion.from,
-        Pose::from_parts(
-            (motion.from.translation.vector + motion.along * motion.length_m).into(),
-            motion.slerp(1.0),
-        ),
-    ];
-    let [at_first, at_last] = [first.inverse() * commands[0], last.inverse() * commands[1]];
-    let far_m = at_first.translation.vector.norm().max(at_last.translation.vector.norm());
-    let distance_m = (at_first.translation.vector - at_last.translation.vector).norm();
-    match () {
-        () if far_m <= MAX_POINT_DISTANCE_M || line.turn_rad <= MIN_ROTATION_RAD => {
-            Some(Pose::identity())
-        }
-        () if distance_m <= MAX_POINT_DIFFERENCE_M => {
-            let middle = at_first.translation.vector.lerp(&at_last.translation.vector, 0.5);
-            Some(Pose::translation(middle.x, middle.y, middle.z))
-        }
-        () => None,
+    let end = motion.from.translation.vector + motion.along * motion.length_m;
+    let commanded_last = Pose::from_parts(end.into(), motion.slerp(1.0));
+    let [at_first, at_last] = [first.inverse() * motion.from, last.inverse() * commanded_last]
+        .map(|point| point.translation.vector);
+    let far_m = at_first.norm().max(at_last.norm());
+    if far_m <= MAX_POINT_DISTANCE_M || line.turn_rad <= MIN_ROTATION_RAD {
+        return Some(Pose::identity());
     }
+    let middle = Pose::from_parts(at_first.lerp(&at_last, 0.5).into(), Rotation::identity());
+    ((at_first - at_last).norm() <= MAX_POINT_DIFFERENCE_M).then_some(middle)
 }

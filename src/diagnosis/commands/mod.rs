@@ -134,10 +134,7 @@ pub fn diagnose_commands(
         return Err(NotObservable::NoOverlap);
     }
     let is_streamed = is_streamed(&series.t_s);
-    let tracking = match is_streamed {
-        true => command_tracking(series, arm, max_lag_s),
-        false => None,
-    };
+    let tracking = is_streamed.then(|| command_tracking(series, arm, max_lag_s)).flatten();
     let rests = detect_rests(arm.joints);
     if rests.is_empty() {
         return Err(NotObservable::NeverRests);
@@ -145,26 +142,11 @@ pub fn diagnose_commands(
     let constant_commands = constant_commands(series, is_streamed, end_s);
     let with_noise = |series| MeasuredPoses { series, noise: pose_noise(series, &rests) };
     let measured_poses: Vec<MeasuredPoses<'_>> = measured_poses.iter().map(with_noise).collect();
-    let mut diagnosis = CommandDiagnosis {
-        is_streamed,
-        tracking,
-        goals: constant_commands
-            .iter()
-            .filter(|command| command.to_s - command.from_s >= rest::MIN_REST_S)
-            .count(),
-        not_reached: 0,
-        nearest_miss: None,
-        rest_errors: vec![Vec::new(); measured_poses.len()],
-        lines: Vec::new(),
-    };
-    let by_error = |a: &Vec<Option<RestError>>, b: &Vec<Option<RestError>>| {
-        smallest_error(a).total_cmp(&smallest_error(b))
-    };
-    let mut unreached: Vec<Vec<Option<RestError>>> = Vec::new();
-    let mut reached: Vec<Vec<Option<RestError>>> = Vec::new();
+    let by_error = |a: &RestErrors, b: &RestErrors| smallest_error(a).total_cmp(&smallest_error(b));
+    let (mut reached, mut unreached): (Vec<RestErrors>, Vec<RestErrors>) = Default::default();
     for command in &constant_commands {
         let windows = rest_windows(command, &rests, is_streamed, tracking).into_iter();
-        let rest_errors = windows.map(|window| -> Vec<Option<RestError>> {
+        let rest_errors = windows.map(|window| -> RestErrors {
             let poses = measured_poses.iter();
             poses.map(|one| rest_error(commands, arm, command, window, one)).collect()
         });
@@ -177,31 +159,40 @@ pub fn diagnose_commands(
             if is_near { reached.push(nearest) } else { unreached.push(nearest) }
         }
     }
-    let missed = |rest_errors: &Vec<Option<RestError>>| {
-        let nearest = rest_errors
-            .iter()
-            .flatten()
-            .min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
+    let missed = |rest_errors: &RestErrors| {
+        let all = rest_errors.iter().flatten();
+        let nearest = all.min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
         Some((nearest.distance_m.norm.value, nearest.angle_rad.norm.value))
     };
-    diagnosis.nearest_miss = unreached.iter().min_by(|a, b| by_error(a, b)).and_then(missed);
+    let nearest_miss = unreached.iter().min_by(|a, b| by_error(a, b)).and_then(missed);
     if (0..measured_poses.len()).any(|stream| is_constant_transform(&unreached, stream)) {
         reached.append(&mut unreached);
     }
     reached.sort_by(|a, b| start_s(a).total_cmp(&start_s(b)));
-    for rest_errors in &mut reached {
-        for (all, rest_error) in diagnosis.rest_errors.iter_mut().zip(rest_errors) {
-            all.extend(rest_error.take());
-        }
+    let is_goal = |command: &&ConstantCommand| command.to_s - command.from_s >= rest::MIN_REST_S;
+    let goals = constant_commands.iter().filter(is_goal).count();
+    let not_reached = if tracking.is_none() { goals.saturating_sub(reached.len()) } else { 0 };
+    let mut rest_errors = vec![Vec::new(); measured_poses.len()];
+    for reached in reached {
+        rest_errors.iter_mut().zip(reached).for_each(|(all, rest_error)| all.extend(rest_error));
     }
-    if tracking.is_none() {
-        diagnosis.not_reached = diagnosis.goals.saturating_sub(reached.len());
-    }
-    if is_streamed && commands.joints.is_empty() {
-        diagnosis.lines = line::detect_lines(series, &constant_commands, &rests, &measured_poses);
-    }
-    Ok(diagnosis)
+    let lines = match is_streamed && commands.joints.is_empty() {
+        true => line::detect_lines(series, &constant_commands, &rests, &measured_poses),
+        false => Vec::new(),
+    };
+    Ok(CommandDiagnosis {
+        is_streamed,
+        tracking,
+        goals,
+        not_reached,
+        nearest_miss,
+        rest_errors,
+        lines,
+    })
 }
+
+/// One per observation.
+type RestErrors = Vec<Option<RestError>>;
 
 /// The command is constant and the arm rests as its result.
 fn rest_windows(
@@ -249,7 +240,7 @@ fn start_s(rest_errors: &[Option<RestError>]) -> f64 {
 }
 
 /// Whether one rigid transform explains all distant goals (three or more): another frame or tool.
-fn is_constant_transform(unreached: &[Vec<Option<RestError>>], stream: usize) -> bool {
+fn is_constant_transform(unreached: &[RestErrors], stream: usize) -> bool {
     const FEWEST: usize = 3;
     const MAX_TRANSFORM_SPREAD: (f64, f64) = (0.25 * MAX_GOAL_DISTANCE_M, 0.1 * MAX_GOAL_ANGLE_RAD);
     let rest_errors: Vec<RestError> =

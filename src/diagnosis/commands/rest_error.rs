@@ -46,23 +46,16 @@ impl RestErrorSpread {
         if errors.len() < 2 {
             return None;
         }
+        let max_deviation = |vectors: Vec<Vec3>| {
+            let mean = vectors.iter().sum::<Vec3>() / vectors.len() as f64;
+            vectors.iter().map(|vector| (vector - mean).norm()).fold(0.0, f64::max)
+        };
         let spread = |of: &dyn Fn(&RestError) -> Pose| {
-            let vectors: Vec<(Vec3, Vec3)> = errors
-                .iter()
-                .map(of)
-                .map(|pose| (pose.translation.vector, rotvec_from_rotation(&pose.rotation)))
-                .collect();
-            let count = vectors.len() as f64;
-            let (mean_m, mean_rad) = (
-                vectors.iter().map(|vector| vector.0).sum::<Vec3>() / count,
-                vectors.iter().map(|vector| vector.1).sum::<Vec3>() / count,
-            );
-            let far =
-                |vector: &(Vec3, Vec3)| ((vector.0 - mean_m).norm(), (vector.1 - mean_rad).norm());
-            vectors
-                .iter()
-                .map(far)
-                .fold((0.0, 0.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)))
+            let vectors = errors.iter().map(of);
+            let vectors =
+                vectors.map(|pose| (pose.translation.vector, rotvec_from_rotation(&pose.rotation)));
+            let (translations, rotations) = vectors.unzip();
+            (max_deviation(translations), max_deviation(rotations))
         };
         Some(Self {
             in_tool: spread(&RestError::tip_from_commanded),
