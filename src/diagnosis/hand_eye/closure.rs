@@ -16,10 +16,7 @@ pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Optio
     let residuals: Vec<(f64, [Vec3; 2])> = setting
         .targets
         .iter()
-        .filter_map(|(t_s, target)| {
-            let carrier_pose = setting.carrier_at(t_s - fit.offset_s.value)?;
-            Some((*t_s, fit.residual(&carrier_pose, target)))
-        })
+        .filter_map(|(t_s, target)| Some((*t_s, fit.residual(setting, *t_s, target)?)))
         .collect();
     if residuals.len() < MIN_POSES {
         return None;

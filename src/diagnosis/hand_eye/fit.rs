@@ -23,8 +23,7 @@ const OUTLIER_SIGMAS: f64 = 6.0;
 const MAX_OUTLIER_SHARE: f64 = 0.35;
 
 pub(super) struct HandEyeFit {
-    pub camera: Pose,
-    pub constant: Pose,
+    pub state: HandEyeState,
     pub offset_s: Measured,
     /// Position and rotation noise per component, m and rad.
     pub sigma: [f64; 2],
@@ -49,22 +48,14 @@ pub struct TargetScale {
 impl HandEyeFit {
     /// Scale of the target's positions to first order; `along` is the depth axis.
     pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
-        let Self { camera, constant, offset_s, .. } = *self;
-        let state = HandEyeState { camera, constant, offset_s: offset_s.value };
         let poses = setting.targets.iter().zip(&self.keep).filter(|(_, keep)| **keep);
-        let distances_m: Vec<f64> = poses
-            .filter_map(|((t_s, _), _)| {
-                let carrier_pose = setting.carrier_at(t_s - state.offset_s)?;
-                Some(state.predict(&carrier_pose).translation.vector.norm())
-            })
-            .collect();
+        let predicted = poses.filter_map(|((t_s, _), _)| self.state.predict_at(setting, *t_s));
+        let distances_m: Vec<f64> = predicted.map(|pose| pose.translation.vector.norm()).collect();
         let distance_m = distances_m.iter().sum::<f64>() / distances_m.len().max(1) as f64;
         let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
-            let linear = state.linear(setting, &self.keep, Some(stretched));
-            let mut normal = Normal::zeros(linear.width);
-            let all: Vec<usize> = (0..linear.width).collect();
-            linear.accumulate(&linear.weights_after(&vec![0.0; linear.width]), &all, &mut normal);
-            let step = normal.step(&DVector::zeros(linear.width), &all);
+            let linear = self.state.linear(setting, &self.keep, Some(stretched));
+            let first_weights = linear.weights_after(&vec![0.0; linear.width]);
+            let step = step_of(&normal_of(&linear, &first_weights));
             let weights = linear.weights_after(step.as_slice());
             let variance = covariance_of(&linear, &weights)[(WIDTH, WIDTH)];
             let independent = 3.0 * linear.len() as f64 / weights[0].noise.inflation();
@@ -99,19 +90,21 @@ impl HandEyeFit {
             };
             Measured { value, std_error: variance.max(0.0).sqrt(), dof }
         };
-        let shift = self.camera.rotation.inverse() * self.camera.translation.vector;
+        let camera = self.state.camera;
+        let shift = camera.rotation.inverse() * camera.translation.vector;
         CameraPose {
-            pose: self.camera,
+            pose: camera,
             translation_error_m: error(0),
             rotation_error_rad: error(3),
             distance_m: along(shift, 0),
-            angle_rad: along(rotvec_from_rotation(&self.camera.rotation), 3),
+            angle_rad: along(rotvec_from_rotation(&camera.rotation), 3),
         }
     }
 
-    /// Deviation from the prediction, m and rad in camera axes.
-    pub fn residual(&self, carrier_pose: &Pose, target: &Pose) -> [Vec3; 2] {
-        difference(target, &((carrier_pose * self.camera).inverse() * self.constant))
+    /// Deviation of a target's pose from the prediction, m and rad in camera axes. `None` if the carrier's pose is
+    /// unknown.
+    pub fn residual(&self, setting: &HandEyeSetting, t_s: f64, target: &Pose) -> Option<[Vec3; 2]> {
+        Some(difference(target, &self.state.predict_at(setting, t_s)?))
     }
 
     /// Whether these residuals are an outlier's.
@@ -142,15 +135,19 @@ fn difference(observed: &Pose, predicted: &Pose) -> [Vec3; 2] {
 }
 
 #[derive(Clone, Copy)]
-struct HandEyeState {
-    camera: Pose,
-    constant: Pose,
-    offset_s: f64,
+pub(super) struct HandEyeState {
+    pub camera: Pose,
+    pub constant: Pose,
+    pub offset_s: f64,
 }
 
 impl HandEyeState {
     fn predict(&self, carrier_pose: &Pose) -> Pose {
         (carrier_pose * self.camera).inverse() * self.constant
+    }
+
+    fn predict_at(&self, setting: &HandEyeSetting, t_s: f64) -> Option<Pose> {
+        Some(self.predict(&setting.carrier_at(t_s - self.offset_s)?))
     }
 
     fn stepped(&self, step: &[f64]) -> Self {
@@ -226,10 +223,8 @@ pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> 
         .targets
         .iter()
         .map(|(t_s, target)| {
-            let carrier_pose = setting.carrier_at(t_s - state.offset_s);
-            carrier_pose.is_some_and(|carrier_pose| {
-                !found.is_outlier(&found.residual(&carrier_pose, target))
-            })
+            let residual = found.residual(setting, *t_s, target);
+            residual.is_some_and(|residual| !found.is_outlier(&residual))
         })
         .collect();
     let retained = inliers.iter().filter(|inliers| **inliers).count();
@@ -254,8 +249,7 @@ fn iterate(
             return None;
         }
         let normal = normal_of(&linear, &weights);
-        let all: Vec<usize> = (0..WIDTH).collect();
-        let mut step = normal.step(&DVector::zeros(WIDTH), &all);
+        let mut step = step_of(&normal);
         let mut next = None;
         for _ in 0..MAX_HALVINGS {
             let moved = state.stepped(step.as_slice());
@@ -281,10 +275,16 @@ fn iterate(
 }
 
 fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
-    let mut normal = Normal::zeros(WIDTH);
-    let columns: Vec<usize> = (0..WIDTH).collect();
+    let mut normal = Normal::zeros(linear.width);
+    let columns: Vec<usize> = (0..linear.width).collect();
     linear.accumulate(weights, &columns, &mut normal);
     normal
+}
+
+/// Step of all parameters.
+fn step_of(normal: &Normal) -> DVector<f64> {
+    let width = normal.right.len();
+    normal.step(&DVector::zeros(width), &(0..width).collect::<Vec<usize>>())
 }
 
 /// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
@@ -320,6 +320,5 @@ fn with_covariance(
         std_error: covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt(),
         dof,
     };
-    let HandEyeState { camera, constant, .. } = state;
-    Some(HandEyeFit { camera, constant, offset_s, sigma, covariance, keep: keep.to_vec() })
+    Some(HandEyeFit { state, offset_s, sigma, covariance, keep: keep.to_vec() })
 }

@@ -200,7 +200,7 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
     let as_logged = DecodedTarget::new(target, TargetEncoding::AsLogged, MAX_FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
     let observed = as_logged.setting(hand, CameraMount::InHand);
-    let diversity = match observed.count_at(lag_s) {
+    let diversity = match observed.pairs_at(lag_s, usize::MAX).len() {
         MIN_POSES.. => Ok(rotation_diversity(&observed, lag_s)),
         have => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
     };
@@ -212,9 +212,8 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
         diversity,
         alternative: solution.as_ref().ok().and_then(|it| better_encoding(streams, it, lag_s)),
         solution,
-        latency_s: Err(NotObservable::NotExcited),
-        mount_error: None,
         view: series::mean_direction(target),
+        ..HandEyeDiagnosis::not_observable(&NotObservable::NotExcited)
     };
     diagnosis.mount_error = diagnosis.best().and_then(|best| mount_error(streams, best));
     diagnosis.latency_s = latency(streams, &diagnosis, &lags);
@@ -235,11 +234,8 @@ fn latency(
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
     /// Another lag with a smaller ratio to the best fits equally well.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
-    let best = match (found.best(), &found.solution) {
-        (Some(best), _) => best,
-        (None, Err(why)) => return Err(why.clone()),
-        (None, Ok(_)) => return Err(NotObservable::NotExcited),
-    };
+    let as_logged = found.solution.as_ref().map_err(Clone::clone)?;
+    let best = found.alternative.as_ref().map_or(as_logged, |(_, solution)| solution);
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
         let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
@@ -323,7 +319,7 @@ fn solve(
         ratio: other / misfit.max(1e-9),
         offset_s,
         camera: fit.camera(),
-        target: fit.constant,
+        target: fit.state.constant,
         misfit_rad: misfit,
         closure,
         scale,

@@ -116,12 +116,7 @@ impl<'a> HandEyeSetting<'a> {
         })
     }
 
-    /// Simultaneous poses for a target delay of `lag_s`.
-    pub fn count_at(&self, lag_s: f64) -> usize {
-        self.pairs_at(lag_s, usize::MAX).len()
-    }
-
-    /// Takes at most `most` pairs, evenly spaced, at delay `lag_s`.
+    /// Simultaneous poses for a target delay of `lag_s`. Takes at most `most` pairs, evenly spaced.
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
