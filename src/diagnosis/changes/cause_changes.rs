@@ -6,7 +6,7 @@
 
 use super::encoding_changes::Segments;
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
-use super::large_steps::{LargeStep, LargeSteps, StepSize, large_steps};
+use super::large_steps::{LargeStep, StepSize, large_steps};
 use super::patches::with_poses;
 use super::profile::Profile;
 use super::score_test::{ChangeKind, ColumnChange, likeliest_change};
@@ -16,7 +16,7 @@ use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_compliance};
 use crate::latency::compensation::with_tracks;
-use crate::model::measurement::pose_of_twist;
+use crate::model::measurement::{pose_of_twist, twist_of};
 use crate::priors::{
     FRAME_PRIOR_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
@@ -31,7 +31,7 @@ use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, PoseDiagnosis,
     PoseStream,
 };
-use ground::geometry::{Pose, Rotation, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
 use ground::stream::{PoseTrack, encoder_tick};
 use nalgebra::{DMatrix, DVector};
@@ -102,24 +102,10 @@ impl Change {
     }
 }
 
-/// State without changes.
-#[derive(Clone, Copy)]
-enum Target {
-    /// Between the first state and the last one.
-    Middle,
-    /// The first: slips and collisions happen later.
-    Start,
-}
-
-impl Target {
-    /// Part of each change to add to its factor.
-    fn part(self) -> f64 {
-        match self {
-            Self::Middle => 0.0,
-            Self::Start => 1.0,
-        }
-    }
-}
+/// Added to the factor of each change. Without changes, the state is between the first and the last one.
+const TO_MIDDLE: f64 = 0.0;
+/// The same for the first state: slips and collisions happen later.
+const TO_START: f64 = 1.0;
 
 /// A stream that follows FK, and what changes it.
 struct Stream<'a> {
@@ -234,7 +220,7 @@ impl<'a> Stream<'a> {
     fn steady_pose(
         &self,
         changes: &[(&Change, ColumnChange)],
-        target: Target,
+        target: f64,
         constant: &[[f64; 6]; 2],
         is: &Pose,
         t_s: f64,
@@ -242,7 +228,7 @@ impl<'a> Stream<'a> {
         let mut twists = *constant;
         let mut scale = 0.0;
         for (change, seen) in changes {
-            let part = seen.profile.factor(t_s) + target.part();
+            let part = seen.profile.factor(t_s) + target;
             let twist = match change.subject {
                 Subject::Frame { frame: Frame::Reference, .. } => &mut twists[0],
                 Subject::Frame { frame: Frame::Tool, .. } => &mut twists[1],
@@ -270,7 +256,7 @@ impl<'a> Stream<'a> {
         let seen = self.seen_changes(changes);
         let AlignedSamples { corrected, t_s, .. } = &self.found.aligned;
         let steady = |(is, &t_s): (&Pose, &f64)| {
-            let pose = self.steady_pose(&seen, Target::Start, &[[0.0; 6]; 2], is, t_s);
+            let pose = self.steady_pose(&seen, TO_START, &[[0.0; 6]; 2], is, t_s);
             self.found.frame_correction.invert(&pose)
         };
         with_poses(self.found, corrected.iter().zip(t_s).map(steady))
@@ -285,7 +271,7 @@ impl<'a> Stream<'a> {
         for row in self.columns.rows() {
             let t_s = aligned.t_s[row];
             aligned.corrected[row] =
-                self.steady_pose(&seen, Target::Middle, constant, &aligned.corrected[row], t_s);
+                self.steady_pose(&seen, TO_MIDDLE, constant, &aligned.corrected[row], t_s);
             let mut turned = false;
             for (change, seen) in seen.iter().filter(|it| it.0.subject.stream().is_none()) {
                 let joint = seen.columns.start - ZEROS;
@@ -340,7 +326,7 @@ impl<'a> Stream<'a> {
             all.iter().filter(|it| it.subject == change.subject && it.profile != change.profile);
         let mut of_others = [0.0; 6];
         for other in others {
-            let part = other.profile.factor(at_s) + Target::Start.part();
+            let part = other.profile.factor(at_s) + TO_START;
             of_others.iter_mut().zip(other.twist(part)).for_each(|(sum, own)| *sum += own);
         }
         let about = Pose::from_parts(about.into(), Rotation::identity());
@@ -617,15 +603,6 @@ impl Candidate {
     }
 }
 
-fn likeliest_candidate(
-    candidates: impl Iterator<Item = Candidate>,
-    streams: &[Stream],
-    noise: &[Vec<Weight>],
-) -> Option<Candidate> {
-    let scored = candidates.map(|candidate| (candidate.score(streams, noise), candidate));
-    scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, candidate)| candidate)
-}
-
 /// A candidate with the weights of its residuals.
 struct Fitted {
     candidate: Candidate,
@@ -705,10 +682,6 @@ struct Removal {
     after: ArmDiagnosis,
 }
 
-fn unexplained_m(streams: &[Stream]) -> f64 {
-    streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
-}
-
 /// `None` if the unexplained residual does not fall.
 fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<Removal> {
     let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
@@ -762,7 +735,7 @@ fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal
 /// Offset of a joint's zero relative to the start.
 fn zero_offset<'a>(changes: impl Iterator<Item = &'a Change>, column: usize, t_s: f64) -> f64 {
     let own = changes.filter(|change| change.subject == Subject::Zero { column });
-    own.map(|change| (change.profile.factor(t_s) + Target::Start.part()) * change.half[0]).sum()
+    own.map(|change| (change.profile.factor(t_s) + TO_START) * change.half[0]).sum()
 }
 
 /// Spans between steps of a joint's zero, or in which it changes linearly.
@@ -783,12 +756,6 @@ fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
     starts.zip(ends).map(span).collect()
 }
 
-/// Corrects joint zeros to the first one.
-fn joint_patches(run: &ArmRun, changes: &[Change]) -> Vec<JointPatch> {
-    let spans = (0..run.joints.dof).flat_map(|column| zero_spans(changes, column));
-    spans.filter(|span| span.offset != 0.0 || span.rate != 0.0).collect()
-}
-
 impl Removal {
     /// `tracks` are without the changes of frames.
     fn new(
@@ -797,7 +764,10 @@ impl Removal {
         tracks: Vec<Option<PoseTrack>>,
         changes: Vec<Change>,
     ) -> Self {
-        let patches = joint_patches(run, &changes);
+        // Corrects joint zeros to the first one.
+        let spans = (0..run.joints.dof).flat_map(|column| zero_spans(&changes, column));
+        let patches: Vec<JointPatch> =
+            spans.filter(|span| span.offset != 0.0 || span.rate != 0.0).collect();
         let mut joints = run.joints.clone();
         patches.iter().for_each(|patch| patch.apply(&mut joints));
         let streams = with_tracks(run.streams, &tracks);
@@ -808,6 +778,9 @@ impl Removal {
     /// Whether the same streams follow FK, with less unexplained residual.
     fn explains_more_than(&self, before: &[Stream], run: &ArmRun) -> bool {
         let streams = Stream::all(run, &self.after);
+        let unexplained_m = |streams: &[Stream]| -> f64 {
+            streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
+        };
         streams.len() >= before.len() && unexplained_m(&streams) < unexplained_m(before)
     }
 
@@ -1025,7 +998,8 @@ fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<Vec<Chang
     let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;
     let noise = smallest.weights.clone();
     let candidates = found.into_iter().map(|it| it.candidate);
-    let mut changed = likeliest_candidate(candidates, &streams, &noise)?;
+    let scored = candidates.map(|candidate| (candidate.score(&streams, &noise), candidate));
+    let (_, mut changed) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;
     }
@@ -1038,7 +1012,7 @@ pub(super) fn diagnose_with_large_steps(
     segments: &Segments,
     jumps: &[Jump],
 ) -> Option<ArmDiagnosis> {
-    let LargeSteps { steps, tracks } = large_steps(segments, jumps, run)?;
+    let (steps, tracks) = large_steps(segments, jumps, run)?;
     let before = &segments.longest.found;
     let zeros = steps.iter().filter_map(|it| it.change(run, &[])).collect();
     let removal = Removal::new(&run.arm, before, tracks, zeros);
@@ -1070,10 +1044,7 @@ impl LargeStep {
                 };
                 // Twists of one frame are added.
                 let [before, after] = turns.map(|turn| {
-                    let turn = corrected.inverse() * turn * corrected;
-                    let (shift, turn) =
-                        (turn.translation.vector, rotvec_from_rotation(&turn.rotation));
-                    DVector::from_iterator(6, shift.iter().chain(turn.iter()).copied())
+                    DVector::from_row_slice(&twist_of(&(corrected.inverse() * turn * corrected)))
                 });
                 let half = (after - before) * 0.5;
                 Some(Change {

@@ -88,24 +88,26 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
 }
 
 impl SplitRun<'_> {
-    fn recorded_gaps(&self) -> Vec<Jump> {
+    /// On the joint states' clock.
+    fn jumps_in_streams(&self, jumps_in: impl Fn(&PoseStream) -> Vec<Jump>) -> Vec<Jump> {
         let of_stream = |(stream, lag_s): (&PoseStream, &f64)| {
-            let gaps = gaps(&stream.track.t_s).into_iter();
-            gaps.map(|gap| Jump { at_s: gap.at_s - lag_s, ..gap }).collect::<Vec<_>>()
+            let mut jumps = jumps_in(stream);
+            jumps.iter_mut().for_each(|jump| jump.at_s -= lag_s);
+            jumps
         };
-        let of_streams = self.arm.streams.iter().zip(self.lags).flat_map(of_stream);
-        strongest(of_streams.chain(gaps(&self.arm.joints.t_s)).collect())
+        self.arm.streams.iter().zip(self.lags).flat_map(of_stream).collect()
+    }
+
+    fn recorded_gaps(&self) -> Vec<Jump> {
+        let of_streams = self.jumps_in_streams(|stream| gaps(&stream.track.t_s));
+        strongest([of_streams, gaps(&self.arm.joints.t_s)].concat())
     }
 
     /// Jumps of the recorded numbers, and gaps.
     fn recorded_jumps(&self) -> Vec<Jump> {
         let joints = self.arm.joints;
-        let of_stream = |(stream, lag_s): (&PoseStream, &f64)| {
-            let jumps = jumps_in_logged_path(joints, stream).into_iter();
-            jumps.map(|jump| Jump { at_s: jump.at_s - lag_s, ..jump }).collect::<Vec<_>>()
-        };
-        let of_streams = self.arm.streams.iter().zip(self.lags).flat_map(of_stream);
-        strongest(of_streams.chain(jumps_in_joints(joints)).chain(self.recorded_gaps()).collect())
+        let of_streams = self.jumps_in_streams(|stream| jumps_in_logged_path(joints, stream));
+        strongest([of_streams, jumps_in_joints(joints), self.recorded_gaps()].concat())
     }
 }
 
@@ -225,31 +227,25 @@ impl Segments {
         let first = self.others.iter().find(|other| self.longest.has_other_encoding(s, other));
         let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
             let is_different = |other: &&Segment| !is_same(longest, &other.found.streams[s]);
-            let first = &first.filter(is_different)?.found.streams[s];
+            let Some(first) = first.filter(is_different) else { return (longest, None) };
             if !is_as_logged(longest) {
-                return Some((longest, self.longest.span));
+                return (longest, Some(self.longest.span));
             }
+            let first = &first.found.streams[s];
             let same = self.others.iter().filter(|other| is_same(first, &other.found.streams[s]));
-            same.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (first, span))
+            (first, same.map(|other| other.span).reduce(|a, b| (a.0, b.1)))
         };
-        let rotation = component(is_same_rotation, is_rotation_as_logged);
-        let degrees = component(is_same_angle_unit, |diagnosis| diagnosis.degrees.is_none());
-        let length = component(is_same_length_unit, |diagnosis| {
-            !matches!(diagnosis.length_unit, Ok(Some(_)))
-        });
-        let axes = component(is_same_axes, |diagnosis| !matches!(diagnosis.axes, Ok(Some(_))));
-        let [of_rotation, of_degrees, of_length, of_axes] =
-            [rotation, degrees, length, axes].map(|component: Option<(&PoseDiagnosis, Span)>| {
-                component.map_or(longest, |(diagnosis, _)| diagnosis)
-            });
-        after.encoding.clone_from(&of_rotation.encoding);
-        after.is_inverted = of_rotation.is_inverted;
-        after.degrees = of_degrees.degrees;
-        after.length_unit.clone_from(&of_length.length_unit);
-        after.axes.clone_from(&of_axes.axes);
+        let (found, rotation) = component(is_same_rotation, is_rotation_as_logged);
+        after.encoding.clone_from(&found.encoding);
+        after.is_inverted = found.is_inverted;
+        let (found, degrees) = component(is_same_angle_unit, |found| found.degrees.is_none());
+        after.degrees = found.degrees;
+        let (found, length) =
+            component(is_same_length_unit, |found| !matches!(found.length_unit, Ok(Some(_))));
+        after.length_unit.clone_from(&found.length_unit);
+        let (found, axes) = component(is_same_axes, |found| !matches!(found.axes, Ok(Some(_))));
+        after.axes.clone_from(&found.axes);
         after.constant_coordinates.clone_from(&longest.constant_coordinates);
-        let [rotation, degrees, length, axes] =
-            [rotation, degrees, length, axes].map(|component| component.map(|(_, span)| span));
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
     }
 

@@ -1,9 +1,9 @@
 //! Jumps of recorded numbers that motion and noise do not explain, and gaps.
 
-use crate::PoseStream;
 use crate::latency::correlation::median_period_s;
 use crate::residuals::residual_check::align_with_fk;
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use crate::{AlignedSamples, PoseStream};
+use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stats::quantile;
 use ground::stream::JointTrack;
 
@@ -26,16 +26,11 @@ pub(super) struct Jump {
     pub strength: f64,
 }
 
-/// [`jumps_in_path`] of the logged poses.
+/// Steps of the logged poses that exceed the mean of the adjacent ones, without FK.
 pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> Vec<Jump> {
-    let logged = align_with_fk(joints, stream, 0.0);
-    jumps_in_path(&logged.t_s, &logged.logged)
-}
-
-/// Detects steps that exceed the mean of the adjacent ones, without FK.
-fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     /// Numerical floor.
     const FLOOR_M: f64 = 1e-5;
+    let AlignedSamples { t_s, logged: poses, .. } = align_with_fk(joints, stream, 0.0);
     let step = |row: usize| -> [Vec3; 2] {
         let (a, b) = (&poses[row - 1], &poses[row]);
         let rotation = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
@@ -47,7 +42,7 @@ fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
             (steps[at][kind] - 0.5 * (steps[at - 1][kind] + steps[at + 1][kind])).norm()
         };
         let sizes = (1..steps.len().saturating_sub(1)).map(deviation_from_neighbours).collect();
-        jumps_in_differences(t_s, sizes, FLOOR_M)
+        jumps_in_differences(&t_s, sizes, FLOOR_M)
     };
     [of_kind(0), of_kind(1)].concat()
 }

@@ -25,12 +25,6 @@ pub(super) enum StepSize {
     Zero(usize, f64),
 }
 
-/// Steps, and each stream's decoded poses without steps of its frames.
-pub(super) struct LargeSteps {
-    pub steps: Vec<LargeStep>,
-    pub tracks: Vec<Option<PoseTrack>>,
-}
-
 /// Causes of a segment.
 #[derive(Clone)]
 struct Causes {
@@ -75,12 +69,12 @@ impl Causes {
     }
 }
 
-/// `None` if no step is large.
+/// Steps, and each stream's decoded poses without steps of its frames. `None` if no step is large.
 pub(super) fn large_steps(
     segments: &Segments,
     jumps: &[Jump],
     run: &SplitRun,
-) -> Option<LargeSteps> {
+) -> Option<(Vec<LargeStep>, Vec<Option<PoseTrack>>)> {
     let all = segments.all();
     let of_joints = jumps_in_joints(run.arm.joints);
     let is_in_joints = |at: &Jump| {
@@ -131,7 +125,7 @@ pub(super) fn large_steps(
             }
         }
     }
-    (!steps.is_empty()).then_some(LargeSteps { steps, tracks })
+    (!steps.is_empty()).then_some((steps, tracks))
 }
 
 fn turned_back(mut track: PoseTrack, left: &Pose, right: &Pose) -> PoseTrack {

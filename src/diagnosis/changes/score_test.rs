@@ -110,12 +110,9 @@ struct Sums {
 impl Sums {
     /// Adds these, whose factor is 1, with another factor.
     fn add(&mut self, factor: f64, other: &Self) {
-        let add = |sum: &mut [f64], factor: f64, other: &[f64]| {
-            sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += factor * other);
-        };
-        add(self.constant.as_mut_slice(), factor, other.constant.as_slice());
-        add(self.square.as_mut_slice(), factor * factor, other.square.as_slice());
-        add(self.right.as_mut_slice(), factor, other.right.as_slice());
+        self.constant.zip_apply(&other.constant, |sum, other| *sum += factor * other);
+        self.square.zip_apply(&other.square, |sum, other| *sum += factor * factor * other);
+        self.right.zip_apply(&other.right, |sum, other| *sum += factor * other);
     }
 }
 
