@@ -85,10 +85,10 @@ pub(super) fn diagnose_converted_imu(
     };
     // If the orientation does not follow the arm, a match of the gyro is coincidence.
     let clock = match (&orientation, &gyro) {
-        (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
-            Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
+        (Ok((clock, _)), Ok(gyro)) if clock.skew.is_err() => {
+            Clock { skew: gyro.clock.skew.clone(), ..clock.clone() }
         }
-        (Ok(fit), _) => fit.clock.clone(),
+        (Ok((clock, _)), _) => clock.clone(),
         (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
         (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::not_observable(why),
     };
@@ -96,10 +96,11 @@ pub(super) fn diagnose_converted_imu(
         Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
         None => clock.aligned_to(stream),
     };
-    let axes_rotation = match (&orientation, &gyro) {
-        (Ok(fit), Ok(gyro)) if moves => gyro_axes_rotation(&link, lag_s, &fit.link_from_imu, gyro),
-        _ => None,
-    };
+    let by_gyro = gyro.as_ref().ok().filter(|_| moves);
+    let by_orientation = orientation.as_ref().ok().and_then(|(_, found)| found.link_from_imu);
+    let axes_rotation = by_orientation
+        .zip(by_gyro)
+        .and_then(|(mount, gyro)| gyro_axes_rotation(&link, lag_s, &mount, gyro));
     let rotated_accel = axes_rotation.filter(|rotation| rotation.with_accel).map(|rotation| {
         let accel = stream.track.accel.iter().map(|accel| rotation.imu_from_gyro * accel).collect();
         ImuTrack { accel, ..stream.track.clone() }
@@ -107,43 +108,28 @@ pub(super) fn diagnose_converted_imu(
     let accel_stream =
         ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
     let link = Link::new(joints, &accel_stream, numbers);
-    let mount = match &orientation {
-        Ok(fit) => fit.link_from_imu,
-        Err(_) => stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default(),
+    let logged = stream.link_from_imu.map(|pose| pose.rotation);
+    let mount = by_orientation.or(logged).unwrap_or_default();
+    let found = match orientation {
+        Ok((_, found)) => ImuDiagnosis { axes_rotation, up: link.up(lag_s, &mount), ..found },
+        Err(why) => ImuDiagnosis {
+            link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
+            mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
+            mount_rad: match (&why, &gyro) {
+                (NotObservable::NoOrientation, Ok(gyro)) => gyro.mount_rad.clone(),
+                (NotObservable::NoOrientation, Err(why)) | (why, _) => Err(why.clone()),
+            },
+            ..ImuDiagnosis::not_observable(&why)
+        },
     };
-    let common = ImuDiagnosis {
+    ImuDiagnosis {
         latency_s,
         latency_profile,
         skew,
         conventions: numbers.clone(),
         tilt_rad: link.tilt(lag_s, &mount),
-        gyro_bias: gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.bias.clone()),
-        ..ImuDiagnosis::not_observable(orientation.as_ref().err().unwrap_or(&NotObservable::AtRest))
-    };
-    let by_gyro = gyro.as_ref().ok().filter(|_| moves);
-    match orientation {
-        Ok(fit) => ImuDiagnosis {
-            encoding: Ok(fit.encoding),
-            yaw_drift_rad_s: fit.drift_rad_s,
-            yaw_profile: fit.yaw_profile,
-            mount_rad: fit.mount_rad,
-            link_from_imu: Some(fit.link_from_imu),
-            axes_rotation,
-            mount_change: fit.mount_change,
-            up: link.up(lag_s, &fit.link_from_imu),
-            yaw_error: fit.yaw_error,
-            headings: fit.headings,
-            ..common
-        },
-        Err(why) => ImuDiagnosis {
-            link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
-            mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
-            mount_rad: match why {
-                NotObservable::NoOrientation => gyro.and_then(|gyro| gyro.mount_rad),
-                _ => Err(why),
-            },
-            ..common
-        },
+        gyro_bias: gyro.and_then(|fit| fit.bias),
+        ..found
     }
 }
 
@@ -155,9 +141,9 @@ fn gyro_axes_rotation(
 ) -> Option<GyroAxesRotation> {
     /// Gain in constancy of the specific force if the accelerometer shares the gyro's axes.
     const MIN_CONSTANCY_GAIN: f64 = 0.05;
-    let rotation = gyro.rotation_against(link_from_imu)?;
-    let rotation =
-        Some(rotation).filter(|rotation| rotation.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
+    let rotation = gyro
+        .rotation_against(link_from_imu)
+        .filter(|rotation| rotation.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
     let [by_gyro, by_imu] =
         [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
     Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..rotation })

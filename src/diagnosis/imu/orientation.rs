@@ -4,7 +4,7 @@
 //! error, which depends on the posture, looks like a jump, a walk or a drift of the yaw.
 
 use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
-use super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
+use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
@@ -42,32 +42,20 @@ const EFFECTS: [(Block, Shape); 6] = [
     (Block::Mount, Shape::Step),
 ];
 
-pub(super) struct OrientationFit {
-    pub encoding: EncodingEstimate,
-    pub clock: Clock,
-    pub drift_rad_s: EstimateResult<Measured>,
-    pub yaw_profile: YawProfile,
-    pub mount_rad: EstimateResult<MeasuredLength>,
-    pub link_from_imu: Rotation,
-    pub mount_change: Option<ImuMountChange>,
-    pub yaw_error: Vec<(f64, f64)>,
-    pub headings: Vec<HeadingPair>,
-}
-
 impl Link<'_> {
+    /// Delay, encoding, yaw and mount.
     pub(super) fn fit_orientation(
         &self,
         start: Delay,
         moves: bool,
         gyro: Option<&GyroFit>,
-    ) -> EstimateResult<OrientationFit> {
+    ) -> EstimateResult<(Clock, ImuDiagnosis)> {
         let (mut encoding, model) = self.orientation_model(start, gyro)?;
         let (model, solved) = add_likeliest_effects(model, &EFFECTS, |model| model.fit(moves));
-        if let Some((from_s, to_s)) = model.longer_side() {
+        if let Some(side_s) = model.longer_side_s() {
             // A slip makes every encoding fit badly: determine it again on one side.
-            encoding = self
-                .estimate_encoding_near(&model.delay, gyro, from_s..to_s)
-                .map_or(encoding, |estimated| estimated.0);
+            let estimated = self.estimate_encoding_near(&model.delay, gyro, side_s);
+            encoding = estimated.map_or(encoding, |estimated| estimated.0);
         }
         self.check_rotation_explained(&model.delay, &solved.residuals)?;
         let clock = match moves {
@@ -81,17 +69,18 @@ impl Link<'_> {
             false => Clock::not_observable(&NotObservable::AtRest),
         };
         let (yaw_error, headings) = model.yaw_error();
-        Ok(OrientationFit {
-            encoding,
-            clock,
-            drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
+        let found = ImuDiagnosis {
+            encoding: Ok(encoding),
+            yaw_drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
             yaw_profile: model.yaw_profile(&solved),
-            link_from_imu: model.link_from_imu,
+            link_from_imu: Some(model.link_from_imu),
             mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
             yaw_error,
             headings,
             mount_rad: model.mount_rad,
-        })
+            ..ImuDiagnosis::not_observable(&NotObservable::AtRest)
+        };
+        Ok((clock, found))
     }
 
     /// Initial model, with the branch chosen for every sample.
@@ -273,12 +262,10 @@ impl OrientationModel<'_> {
     }
 
     /// Side of a slip with more samples.
-    fn longer_side(&self) -> Option<(f64, f64)> {
+    fn longer_side_s(&self) -> Option<Range<f64>> {
         let (at_s, _) = self.effects.of(Block::Mount).next()?.profile.change_s()?;
-        Some(match at_s > self.link.middle_s {
-            true => (f64::NEG_INFINITY, at_s),
-            false => (at_s, f64::INFINITY),
-        })
+        let Range { start, end } = WHOLE_RUN_S;
+        Some(if at_s > self.link.middle_s { start..at_s } else { at_s..end })
     }
 
     fn yaw_profile(&self, solved: &Solved) -> YawProfile {
