@@ -115,9 +115,11 @@ pub(super) fn diagnose_converted_imu(
         Err(why) => ImuDiagnosis {
             link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
             mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
-            mount_rad: match (&why, &gyro) {
-                (NotObservable::NoOrientation, Ok(gyro)) => gyro.mount_rad.clone(),
-                (NotObservable::NoOrientation, Err(why)) | (why, _) => Err(why.clone()),
+            mount_rad: match why {
+                NotObservable::NoOrientation => {
+                    gyro.as_ref().map_err(Clone::clone).and_then(|gyro| gyro.mount_rad.clone())
+                }
+                _ => Err(why.clone()),
             },
             ..ImuDiagnosis::not_observable(&why)
         },

@@ -94,12 +94,8 @@ impl FourierMotion {
         for row in 0..count {
             let [q, qd, qdd] = self.moving(joint, self.seconds * row as f64 / count as f64);
             let off = q - self.around[joint];
-            most = [
-                most[0].max(off),
-                most[1].max(-off),
-                most[2].max(qd.abs()),
-                most[3].max(qdd.abs()),
-            ];
+            let values = [off, -off, qd.abs(), qdd.abs()];
+            most.iter_mut().zip(values).for_each(|(most, value)| *most = most.max(value));
         }
         // The bound is on the absolute value, so either side includes the larger overshoot.
         let over = (between - 1.0) * most[0].max(most[1]);

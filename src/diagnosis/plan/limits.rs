@@ -1,5 +1,6 @@
 //! Range of a motion, and limit violations.
 
+use crate::samples::sampling::range_of;
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 
@@ -62,11 +63,11 @@ pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
     };
     let most = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |a: f64, b| a.max(b.abs()));
     let extent = |joint: usize| {
-        let q = column(&motion.q, joint);
+        let [low, high] = range_of(column(&motion.q, joint));
         let speeds = rates(motion, joint).map(|rate| rate.1);
         JointRange {
-            low: q.iter().copied().fold(f64::INFINITY, f64::min),
-            high: q.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            low,
+            high,
             speed: most(&mut column(&motion.qd, joint).into_iter().chain(speeds)),
             acceleration: most(&mut rates(motion, joint).map(|rate| rate.2)),
         }

@@ -244,9 +244,7 @@ pub fn peak_acceleration(
             let accelerations = &mut accelerations[..BLOCK_ROWS.min(last - first)];
             fit.along(values, first, accelerations);
             // Ignores NaN.
-            let largest = accelerations
-                .iter()
-                .fold(0.0, |most, a| if a.abs() > most { a.abs() } else { most });
+            let largest = accelerations.iter().fold(0.0_f64, |most, a| most.max(a.abs()));
             let excess = |best: &PeakAcceleration| best.acceleration - best.noise;
             if surest.as_ref().is_some_and(|best| largest - floor <= excess(best)) {
                 continue;
@@ -359,11 +357,8 @@ impl Noise {
     fn at(&self, row: usize) -> f64 {
         let block = row / self.length;
         let near = block.saturating_sub(1)..(block + 2).min(self.blocks.len());
-        self.blocks
-            .get(near)
-            .unwrap_or_default()
-            .iter()
-            .fold(self.all, |max_noise, noise| max_noise.max(*noise))
+        let near = self.blocks.get(near).unwrap_or_default();
+        near.iter().fold(self.all, |max_noise, noise| max_noise.max(*noise))
     }
 }
 

@@ -22,6 +22,13 @@ pub struct VelocitySamples<'a> {
     pub breaks: &'a [f64],
 }
 
+impl VelocitySamples<'_> {
+    /// Positions over time.
+    fn curve(&self) -> TimeSeries {
+        TimeSeries::new(self.t_s.to_vec(), vec![self.position.to_vec()])
+    }
+}
+
 /// Comparison of velocities with position derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VelocityDiagnosis {
@@ -82,7 +89,7 @@ pub fn diagnose_velocity(
     };
     let as_recorded = error_of(moved);
     let half_s = 0.5 * median_period_s(own.t_s);
-    let curve = TimeSeries::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
+    let curve = own.curve();
     // A difference of samples is the rate midway.
     let of_difference = [-half_s, half_s]
         .map(|delay_s| changes.references(&curve, delay_s))
@@ -329,30 +336,23 @@ fn shape(
     if square <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
         return VelocityShape::Zero;
     }
-    let other_joints = joints.iter().enumerate().filter(|(other, _)| *other != index);
-    let other_joints =
-        other_joints.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
-            let (gain, residual) =
-                gain_of(&TimeSeries::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
-            (residual, other, gain)
-        });
+    let is_other =
+        |(other, joint): &(usize, &VelocitySamples)| *other != index && joint.t_s.len() > 1;
+    let other_joints = joints.iter().enumerate().filter(is_other).map(|(other, joint)| {
+        let (gain, residual) = gain_of(&joint.curve());
+        (residual, other, gain)
+    });
     let other = other_joints.min_by(|a, b| a.0.total_cmp(&b.0));
     let response = signed(sign)
         .estimate_response(curve, MAX_LAG_S)
         .ok()
         .map(|response| Response { gain: sign * response.gain, ..response });
     let residual = response.map_or(1.0, |response| 1.0 - response.explained);
-    match other {
-        Some((residual_by_other, other, gain))
-            if residual_by_other <= allowed.min(0.2 * residual) =>
-        {
-            VelocityShape::OfJoint(other, gain)
-        }
-        _ => match response.filter(|_| residual <= allowed) {
-            Some(response) => VelocityShape::Filtered(response),
-            None => VelocityShape::Unrelated,
-        },
+    if let Some((_, other, gain)) = other.filter(|it| it.0 <= allowed.min(0.2 * residual)) {
+        return VelocityShape::OfJoint(other, gain);
     }
+    let response = response.filter(|_| residual <= allowed);
+    response.map_or(VelocityShape::Unrelated, VelocityShape::Filtered)
 }
 
 #[cfg(test)]

@@ -134,11 +134,8 @@ impl Workspace {
             angle_between(a, b) < MIN_ORIENTATION_DIFFERENCE_RAD
         };
         let is_same_configuration = |known: &ReachedPose| {
-            known
-                .q
-                .iter()
-                .zip(&reached.q)
-                .all(|(a, b)| (a - b).abs() < MIN_CONFIGURATION_DIFFERENCE)
+            let mut joints = known.q.iter().zip(&reached.q);
+            joints.all(|(a, b)| (a - b).abs() < MIN_CONFIGURATION_DIFFERENCE)
         };
         let mut oriented =
             place.poses.iter().filter(|at| is_oriented(&self.poses[**at])).peekable();
