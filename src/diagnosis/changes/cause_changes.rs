@@ -11,7 +11,7 @@ use super::patches::with_poses;
 use super::profile::Profile;
 use super::score_test::{ChangeKind, ColumnChange, likeliest_change};
 use super::split_run::SplitRun;
-use super::{ChangePoint, FrameChange, JointChange, JointPatch, ScalarChange};
+use super::{FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_compliance};
@@ -315,7 +315,7 @@ impl<'a> Stream<'a> {
             MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
         };
         let (shift, turn) = (length(0), length(3));
-        let (at_s, within_s) = change.profile.interval_s();
+        let (at_s, _) = change.profile.interval_s();
         let base = match frame {
             Frame::Reference => &self.found.reference,
             Frame::Tool => &self.found.tool,
@@ -343,20 +343,14 @@ impl<'a> Stream<'a> {
         let (from, to) = (frame(0.0), frame(2.0));
         let pose = from.inv_mul(&to);
         let exact = |value: f64, linear: Measured| Measured { value, ..linear };
-        ChangePoint {
-            at_s,
-            within_s,
-            course: change.profile.course(),
-            from: from * base,
-            to: to * base,
-            size: FrameEstimate {
-                pose,
-                translation_m: exact(pose.translation.vector.norm(), shift.norm),
-                rotation_rad: exact(pose.rotation.angle(), turn.norm),
-                p_value: shift.p_value.min(turn.p_value),
-                is_chosen: true,
-            },
-        }
+        let size = FrameEstimate {
+            pose,
+            translation_m: exact(pose.translation.vector.norm(), shift.norm),
+            rotation_rad: exact(pose.rotation.angle(), turn.norm),
+            p_value: shift.p_value.min(turn.p_value),
+            is_chosen: true,
+        };
+        change.profile.change_point(from * base, to * base, size)
     }
 }
 
@@ -836,24 +830,14 @@ impl Removal {
                     let base = stream.radial_scale.as_ref().ok();
                     let base = base.filter(|_| stream.is_radial_scale_chosen);
                     let at_start = base.map_or(0.0, |base| base.value);
-                    let (at_s, within_s) = change.profile.interval_s();
-                    stream.radial_scale_changes.push(ChangePoint {
-                        at_s,
-                        within_s,
-                        course: change.profile.course(),
-                        from: at_start,
-                        to: at_start + size.value,
-                        size,
-                    });
+                    let to = at_start + size.value;
+                    let change = change.profile.change_point(at_start, to, size);
+                    stream.radial_scale_changes.push(change);
                     size.value.abs() > size.half_width(confidence)
                 }
                 Subject::Zero { column } => {
-                    let zero = report_zero(change, column, size, &changes, &found);
-                    after.joints.changes.push(JointChange {
-                        column,
-                        zero: Some(zero),
-                        factor: None,
-                    });
+                    let zero = Some(report_zero(change, column, size, &changes, &found));
+                    after.joints.changes.push(JointChange { column, zero, factor: None });
                     size.value.abs() > size.half_width(confidence)
                 }
             };
@@ -902,13 +886,12 @@ fn report_zero(
     all: &[Change],
     found: &ArmDiagnosis,
 ) -> ScalarChange {
-    let (at_s, within_s) = change.profile.interval_s();
+    let (at_s, _) = change.profile.interval_s();
     let base = found.joints.offsets.get(column).filter(|offset| offset.is_chosen);
     let base = base.and_then(|offset| offset.offset.as_ref().ok()).map_or(0.0, |it| it.value);
     let others = all.iter().filter(|other| other.profile != change.profile);
     let from = base + zero_offset(others, column, at_s);
-    let course = change.profile.course();
-    ChangePoint { at_s, within_s, course, from, to: from + size.value, size }
+    change.profile.change_point(from, from + size.value, size)
 }
 
 /// Reports in `after`, the diagnosis of decoded poses, the encoding that they had.

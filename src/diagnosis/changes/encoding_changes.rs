@@ -9,11 +9,9 @@ use std::cell::LazyCell;
 use super::cause_changes::diagnose_with_large_steps;
 use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use super::patches::{decoded_poses, with_poses};
+use super::profile::Profile;
 use super::split_run::{Span, SplitRun};
-use super::{
-    ChangePoint, Course, EncodingSpans, JointChange, JointPatch, constant_frames_suffice,
-    is_explained,
-};
+use super::{EncodingSpans, JointChange, JointPatch, constant_frames_suffice, is_explained};
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
 use crate::latency::compensation::with_tracks;
@@ -274,8 +272,7 @@ impl Segments {
             let surest = factors[1].or(factors[0])?;
             let size = Measured { value: to - from, std_error, ..surest };
             let is_same = size.value.abs() < 4.0 * std_error + 1e-5;
-            let (at_s, within_s) = (jump.at_s, jump.within_s);
-            let factor = ChangePoint { at_s, within_s, course: Course::Step, from, to, size };
+            let factor = Profile::Step(*jump).change_point(from, to, size);
             (!is_same).then_some(JointChange { column, zero: None, factor: Some(factor) })
         };
         let all = self.all();

@@ -1,7 +1,7 @@
 //! How a change of a cause depends on time.
 
-use super::Course;
 use super::jumps::Jump;
+use super::{ChangePoint, Course};
 
 /// Parts of the run between the ends of coarse ramps, and of the range of time constants.
 const COARSE_PARTS: u32 = 10;
@@ -183,6 +183,12 @@ impl Profile {
                 shape: Shape::Settling { ln_time_constant },
             } => Course::Settling(ln_time_constant.exp() * (end_s - start_s)),
         }
+    }
+
+    /// Change point of a value.
+    pub fn change_point<V, S>(&self, from: V, to: V, size: S) -> ChangePoint<V, S> {
+        let (at_s, within_s) = self.interval_s();
+        ChangePoint { at_s, within_s, course: self.course(), from, to, size }
     }
 
     pub fn later(self, by_s: f64) -> Self {

@@ -5,8 +5,7 @@ use super::series::HandEyeSetting;
 use super::{ClosureError, MIN_POSES};
 use crate::residuals::excess::{excess_square, mean_of, rms};
 use ground::geometry::Vec3;
-use ground::stats::Measured;
-use ground::stats::median;
+use ground::stats::{Measured, median};
 
 /// For the standard error of the excess.
 const BLOCKS: usize = 12;

@@ -8,8 +8,7 @@ use super::{CameraMount, CameraPose, MIN_POSES};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::Measured;
-use ground::stats::median;
+use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector};
 
 /// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.

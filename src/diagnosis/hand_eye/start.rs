@@ -1,9 +1,9 @@
 //! Initial camera pose in closed form.
 
 use super::series::{HandEyeSetting, PosePair};
-use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
-    Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
+    Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_rotvec,
+    rotvec_from_rotation,
 };
 use ground::stats::median;
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -107,14 +107,12 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     if largest < 1e-6 || inliers().count() < 3 {
         return None;
     }
-    let initial =
-        rotation_by_wahba(&inliers().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    let product = |(a, b): &&(Vec3, Vec3)| a * b.transpose();
+    let initial = rotation_by_wahba(&inliers().map(product).sum::<Matrix3<f64>>());
     let mut deviation: Vec<f64> = inliers().map(|(a, b)| (a - initial * b).norm()).collect();
     let limit = 3.0 * median(&mut deviation).unwrap_or(0.0) + 1e-9;
     let inliers_of_initial = || inliers().filter(|(a, b)| (a - initial * b).norm() <= limit);
-    let rotation = rotation_by_wahba(
-        &inliers_of_initial().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>(),
-    );
+    let rotation = rotation_by_wahba(&inliers_of_initial().map(product).sum::<Matrix3<f64>>());
     let scatter: Matrix3<f64> = inliers_of_initial().map(|(a, _)| a * a.transpose()).sum();
     let eigen = scatter.symmetric_eigen();
     let first = eigen.eigenvalues.imax();

@@ -3,8 +3,7 @@
 
 use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
 use crate::UnitResiduals;
-use ground::geometry::rotation_by_wahba;
-use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stats::quantile;
 use ground::stream::{ImuTrack, JointTrack};
 use nalgebra::Matrix3;
@@ -194,10 +193,9 @@ impl Alignment {
         let n = pairs.len().max(1) as f64;
         let mean = pairs.iter().map(|(_, gyro, _)| gyro).sum::<Vec3>() / n;
         let mean_rate = pairs.iter().map(|(_, _, rate)| rate).sum::<Vec3>() / n;
-        let correlation: Matrix3<f64> = pairs
-            .iter()
-            .map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose())
-            .sum();
+        let products =
+            pairs.iter().map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose());
+        let correlation: Matrix3<f64> = products.sum();
         let link_from_imu = rotation_by_wahba(&correlation);
         Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate, mean_rate }
     }

@@ -117,11 +117,10 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
         let step = Step::new(&linear, &excited, &pull);
         remaining_steps -= 1;
         let largest = free.iter().map(|&at| step.delta[at].abs()).fold(0.0, f64::max);
+        model.apply(&step.delta);
         if remaining_steps == 0 || largest < CONVERGED_STEP {
-            model.apply(&step.delta);
             return step.solved(&linear, excited);
         }
-        model.apply(&step.delta);
         linear = model.linearize().linear;
     }
 }
@@ -173,11 +172,8 @@ impl Excited {
                 if *excess > 0.0 { basis.push(direction) } else { fixed.push(direction) }
             }
         }
-        let random: Vec<usize> = priors
-            .iter()
-            .map(|prior| prior.column)
-            .filter(|column| !free.contains(column))
-            .collect();
+        let random = priors.iter().map(|prior| prior.column);
+        let random: Vec<usize> = random.filter(|column| !free.contains(column)).collect();
         basis.extend(random.iter().map(|&column| unit(column)));
         free.extend(random);
         free.sort_unstable();
@@ -232,15 +228,10 @@ impl Step {
         step
     }
 
-    fn noise(&self, excited: &Excited) -> DMatrix<f64> {
-        let level = self.weights.first().map_or(0.0, Weight::base_weight);
-        &excited.noise * level
-    }
-
     /// Covariance at the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
-        let noise = self.noise(&excited);
-        let Excited { free, basis, mut fixed, prior, .. } = excited;
+        let Excited { free, basis, mut fixed, noise, prior } = excited;
+        let noise = noise * self.weights.first().map_or(0.0, Weight::base_weight);
         let targets: Vec<Option<usize>> =
             (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
         let mut information = DMatrix::zeros(free.len(), free.len());

@@ -63,18 +63,7 @@ impl FourierMotion {
 
     /// Samples at `count` even times.
     pub fn track(&self, count: usize) -> JointTrack {
-        let last = count.max(2) - 1;
-        let mut track = JointTrack { dof: self.dof(), ..JointTrack::default() };
-        for row in 0..=last {
-            let t_s = self.length_s() * row as f64 / last as f64;
-            track.t_s.push(t_s);
-            for joint in 0..self.dof() {
-                let [q, qd, _] = self.at(joint, t_s);
-                track.q.push(q);
-                track.qd.push(qd);
-            }
-        }
-        track
+        sampled(count, self.length_s(), self.dof(), |joint, t_s| self.at(joint, t_s))
     }
 
     /// Projects a joint's amplitudes onto motions at rest at both ends, and scales them to `share` of its
@@ -111,6 +100,26 @@ impl FourierMotion {
             *value *= factor;
         }
     }
+}
+
+/// Samples at `count` even times, by position, velocity and acceleration of a joint.
+pub(super) fn sampled(
+    count: usize,
+    length_s: f64,
+    dof: usize,
+    at: impl Fn(usize, f64) -> [f64; 3],
+) -> JointTrack {
+    let last = count.max(2) - 1;
+    let mut track = JointTrack { dof, ..JointTrack::default() };
+    for row in 0..=last {
+        let t_s = length_s * row as f64 / last as f64;
+        track.t_s.push(t_s);
+        for [q, qd, _] in (0..dof).map(|joint| at(joint, t_s)) {
+            track.q.push(q);
+            track.qd.push(qd);
+        }
+    }
+    track
 }
 
 /// Gram–Schmidt.

@@ -1,6 +1,6 @@
 //! Search for the motion with the largest information on the requested parameters.
 
-use super::fourier::FourierMotion;
+use super::fourier::{FourierMotion, sampled};
 use super::precision::{ExpectedPrecision, LinearizedMotion};
 use super::{ClearanceViolation, JointMargins, PlanRequirements, Purpose, Sensing};
 use ground::robot::Chain;
@@ -212,30 +212,19 @@ impl MotionSearch<'_> {
     fn single_joint_motion(&self, share: f64, rows: usize) -> JointTrack {
         let dof = self.requirements.around.len();
         let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
-        let series: Vec<FourierMotion> = (0..dof)
-            .map(|joint| {
-                let mut series = FourierMotion::at_rest(self.requirements.around, seconds, 0.0, 2);
-                // Starts and ends at rest.
-                (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
-                series.project(joint, &self.requirements.margins[joint], share);
-                series
-            })
-            .collect();
-        let mut track = JointTrack { dof, ..JointTrack::default() };
-        for row in 0..rows {
-            let t_s = whole_s * row as f64 / (rows - 1) as f64;
-            track.t_s.push(t_s);
+        let mut series = FourierMotion::at_rest(self.requirements.around, seconds, 0.0, 2);
+        for joint in 0..dof {
+            // Starts and ends at rest.
+            (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
+            series.project(joint, &self.requirements.margins[joint], share);
+        }
+        sampled(rows, whole_s, dof, |joint, t_s| {
             let t_s = (t_s - self.rest_s).clamp(0.0, self.seconds);
             let mover = ((t_s / seconds) as usize).min(dof - 1);
-            for (joint, series) in series.iter().enumerate() {
-                let [q, qd, _] = match joint == mover {
-                    true => series.at(joint, t_s - mover as f64 * seconds),
-                    false => [self.requirements.around[joint], 0.0, 0.0],
-                };
-                track.q.push(q);
-                track.qd.push(qd);
+            match joint == mover {
+                true => series.at(joint, t_s - mover as f64 * seconds),
+                false => [self.requirements.around[joint], 0.0, 0.0],
             }
-        }
-        track
+        })
     }
 }
