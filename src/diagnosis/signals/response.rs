@@ -86,17 +86,6 @@ impl TimeSeries {
 
     /// Cubic Hermite. `None` outside the series and in gaps.
     fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
-        let interval = self.interval(t_s, cursor)?;
-        let mut values = [0.0; MAX_COLUMNS];
-        values.iter_mut().enumerate().take(self.columns.len()).for_each(|(column, value)| {
-            *value = self.interpolate(column, interval);
-        });
-        Some(values)
-    }
-
-    /// Row before `t_s`, fraction of the interval after it, and its length, s.
-    #[inline]
-    fn interval(&self, t_s: f64, cursor: &mut usize) -> Option<(usize, f64, f64)> {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
@@ -111,14 +100,16 @@ impl TimeSeries {
         let (from_s, to_s) = (times[before], times[before + 1]);
         let length_s = to_s - from_s;
         let is_covered = t_s <= to_s && length_s <= self.longest_s;
-        is_covered.then(|| (before, (t_s - from_s) / length_s, length_s))
-    }
-
-    #[inline]
-    fn interpolate(&self, column: usize, (before, part, length_s): (usize, f64, f64)) -> f64 {
-        let of = |values: &[f64]| [values[before], values[before + 1]];
-        let slopes = of(&self.slopes[column]).map(|slope| slope * length_s);
-        hermite(part, of(&self.columns[column]), slopes)
+        is_covered.then(|| {
+            let mut values = [0.0; MAX_COLUMNS];
+            let columns = self.columns.iter().zip(&self.slopes);
+            for (value, (column, slopes)) in values.iter_mut().zip(columns) {
+                let ends = |of: &[f64]| [of[before], of[before + 1]];
+                let slopes = ends(slopes).map(|slope| slope * length_s);
+                *value = hermite((t_s - from_s) / length_s, ends(column), slopes);
+            }
+            values
+        })
     }
 
     /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
@@ -288,40 +279,7 @@ impl ResponseChanges {
     }
 
     fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
-        match self.width {
-            1 => self.fit_column_at(reference, delay_s),
-            _ => self.fit(&self.references(reference, delay_s)),
-        }
-    }
-
-    /// [`Self::fit_at`] of a single column.
-    fn fit_column_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
-        let WindowEnds { t_s, of_window } =
-            self.ends.get_or_init(|| WindowEnds::new(&self.windows));
-        let mut cursor = 0;
-        let value = |t_s: &f64| {
-            let interval = reference.interval(t_s - delay_s, &mut cursor)?;
-            Some(reference.interpolate(0, interval))
-        };
-        let values: Vec<Option<f64>> = t_s.iter().map(value).collect();
-        let (mut used, mut normal, mut right, mut total) = (0, 0.0, 0.0, 0.0);
-        for (&[from, to], by) in of_window.iter().zip(&self.changes) {
-            let (Some(before), Some(after)) = (values[from], values[to]) else { continue };
-            let (reference, by) = (after - before, by[0]);
-            used += 1;
-            total += by * by;
-            normal += reference * reference;
-            right += reference * by;
-        }
-        // Columns without motion have no gain. No negative gain: it fits a periodic signal half a period late.
-        let ridge = 1e-9 * normal + f64::MIN_POSITIVE;
-        let gain = (1.0 / (normal + ridge) * right).max(0.0);
-        DelayFit {
-            gains: vec![DMatrix::from_element(1, 1, gain)],
-            residual_squares: (total - gain * right).max(0.0),
-            total_squares: total,
-            used,
-        }
+        self.fit(&self.references(reference, delay_s))
     }
 
     /// 1 if the reference covers too few windows.
