@@ -328,20 +328,15 @@ fn solve(
 
 /// `None` if the mountings differ.
 fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<FrameEstimate> {
-    let (mount, logged) = streams.logged?;
-    if mount != solution.mount {
-        return None;
-    }
+    let (_, logged) = streams.logged.filter(|(mount, _)| *mount == solution.mount)?;
     let camera = &solution.camera;
     let pose = logged.inverse() * camera.pose;
     let turned = rotvec_from_rotation(&pose.rotation);
     let of = |vector: [f64; 3], errors: [f64; 3]| {
         let variances = DVector::from_column_slice(&errors.map(|error| error * error));
         let covariance = DMatrix::from_diagonal(&variances);
-        errors
-            .iter()
-            .all(|error| error.is_finite())
-            .then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
+        let is_finite = errors.iter().all(|error| error.is_finite());
+        is_finite.then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
     };
     // The errors are in the axes of the estimated camera: nearly the logged ones for any deviation of
     // interest.

@@ -151,9 +151,8 @@ impl Link<'_> {
     }
 
     fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
-        let resting =
-            self.states(self.rows(), self.delay(lag_s)).filter(|(_, state)| !state.moving);
-        resting.map(|(row, _)| row).collect()
+        let states = self.states(self.rows(), self.delay(lag_s));
+        states.filter(|(_, state)| !state.moving).map(|(row, _)| row).collect()
     }
 }
 
@@ -311,13 +310,9 @@ fn detect_saturation(
 fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
     /// Share of the median. A larger spread is motion, not gravity.
     const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
-    let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
-        rows.map(|row| track.accel[row].norm()).collect()
-    };
-    let mut felt = match rests.len() >= MIN_FIT_SAMPLES {
-        true => sizes(&mut rests.iter().copied()),
-        false => sizes(&mut (0..track.accel.len())),
-    };
+    let all: Vec<usize> = (0..track.accel.len()).collect();
+    let rows = if rests.len() >= MIN_FIT_SAMPLES { rests } else { &all };
+    let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
     let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
     let felt = median?;
     if high? - low? > MAX_INTERQUARTILE_SHARE * felt {

@@ -11,7 +11,7 @@ use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
-    check_explained, mount_of, rms,
+    check_explained, mount_of, noise_of_axis, rms,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
@@ -20,7 +20,6 @@ use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
-use ground::stream::sample_noise;
 use nalgebra::{DVector, Matrix3};
 use std::ops::{Range, RangeInclusive};
 
@@ -78,11 +77,9 @@ impl Link<'_> {
             moves,
             clock: Clock::not_observable(&NotObservable::AtRest),
         };
-        if model.windows.len() < MIN_FIT_SAMPLES {
-            return Err(NotObservable::TooFewSamples {
-                have: model.windows.len(),
-                need: MIN_FIT_SAMPLES,
-            });
+        let have = model.windows.len();
+        if have < MIN_FIT_SAMPLES {
+            return Err(NotObservable::TooFewSamples { have, need: MIN_FIT_SAMPLES });
         }
         model.fit();
         while model.is_dominated_by_shared_ends() {
@@ -101,14 +98,13 @@ impl Link<'_> {
         let mut scale_error = None;
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
-            for columns in model.likely_scale_errors() {
-                let mut scaled = GyroModel { scale_columns: columns, ..model.clone() };
+            let likeliest = model.likely_scale_errors().into_iter().find_map(|scale_columns| {
+                let mut scaled = GyroModel { scale_columns, ..model.clone() };
                 let fit = scaled.fit();
-                scale_error = scaled.estimate_scale_error(&fit);
-                if scale_error.is_some() {
-                    (model, solved) = (scaled, fit);
-                    break;
-                }
+                Some((scaled.estimate_scale_error(&fit)?, scaled, fit))
+            });
+            if let Some((error, scaled, fit)) = likeliest {
+                (scale_error, model, solved) = (Some(error), scaled, fit);
             }
         }
         let rotation_rad = self.rotation_rms_rad(&model.delay);
@@ -294,8 +290,8 @@ impl GyroModel<'_> {
 
     /// Fits all free parameters. Includes a skew if it is significant.
     fn fit(&mut self) -> Solved {
-        let mut free: Vec<usize> = Self::BIAS.chain(self.effects.columns()).collect();
-        free.extend(self.scale_columns.clone());
+        let free = Self::BIAS.chain(self.effects.columns()).chain(self.scale_columns.clone());
+        let mut free: Vec<usize> = free.collect();
         if !self.moves {
             return solve(self, &free);
         }
@@ -498,10 +494,8 @@ impl Model for GyroModel<'_> {
     /// FK noise in the columns of the mount, gyro noise in all others.
     fn design_noise(&self) -> DesignNoise {
         let track = self.link.stream.track;
-        let gyro_noise = |axis: usize| {
-            sample_noise(&track.gyro.iter().map(|gyro| gyro[axis]).collect::<Vec<f64>>()).powi(2)
-        };
-        let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
+        let gyro_noise = (0..3).map(|axis| noise_of_axis(&track.gyro, axis).powi(2));
+        let gyro_noise = gyro_noise.sum::<f64>() / 3.0;
         let mut noise = DesignNoise::zeros(self.effects.width());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             let per_s = 1.0 / (to_s - from_s);
@@ -555,15 +549,12 @@ impl Model for GyroModel<'_> {
 
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
-        let constant: Vec<usize> = match self.moves {
-            true => (0..Self::COMMON_SCALE_ERROR).collect(),
-            false => Self::BIAS.collect(),
-        };
+        let constant = if self.moves { 0..Self::COMMON_SCALE_ERROR } else { Self::BIAS };
         let precision = |column: usize| match Self::SCALE_ERROR.contains(&column) {
             true => GYRO_SCALE_PRIOR.powi(-2),
             false => 0.0,
         };
-        let columns = constant.into_iter().chain(self.effects.columns());
+        let columns = constant.chain(self.effects.columns());
         columns.map(|column| (column, precision(column))).collect()
     }
 

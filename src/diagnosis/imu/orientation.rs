@@ -241,8 +241,8 @@ impl OrientationModel<'_> {
         let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
         let error_in_link = known * error;
         let length = solved.mount_error(Self::MOUNT, error.as_slice())?;
-        let turned = self.states().map(|(.., state)| state.rotation * error_in_link);
-        let turned: Vec<Vec3> = turned.collect();
+        let turned: Vec<Vec3> =
+            self.states().map(|(.., state)| state.rotation * error_in_link).collect();
         let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
         let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
         let is_hidden = length.norm.value > MAX_EXPLAINED_RAD && effect_rad < MAX_EXPLAINED_RAD;
@@ -280,15 +280,10 @@ impl OrientationModel<'_> {
                     profile.jumps.extend(size().map(|size_rad| YawJump { at_s, size_rad }));
                 }
                 Profile::Decay { time_constant_s, .. } => {
-                    let times = |by: f64, size: &Measured| Measured {
-                        value: size.value * by,
-                        std_error: size.std_error * by.abs(),
-                        ..*size
-                    };
                     profile.warm_up = size().map(|size| YawWarmUp {
                         time_constant_s,
-                        turned_rad: times(-1.0, &size),
-                        at_first_rad_s: times(-1.0 / time_constant_s, &size),
+                        turned_rad: size.scaled(-1.0),
+                        at_first_rad_s: size.scaled(-1.0 / time_constant_s),
                     });
                 }
                 Profile::Heading { axis } => {

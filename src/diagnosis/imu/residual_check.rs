@@ -1,12 +1,12 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
 use super::conventions::{Alignment, RatePair};
-use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION};
+use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION, noise_of_axis};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::median;
-use ground::stream::{JointTrack, sample_noise};
+use ground::stream::JointTrack;
 
 const MIN_SAMPLES: usize = 50;
 
@@ -115,10 +115,7 @@ fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<Gyro
         along += rate.dot(&(link_from_imu * (gyro - bias) - mean_rate));
         square += rate.norm_squared();
     }
-    let noise = |axis: usize| {
-        let column: Vec<f64> = gyro.iter().map(|gyro| gyro[axis]).collect();
-        sample_noise(&column)
-    };
+    let noise = |axis: usize| noise_of_axis(gyro, axis);
     let has_rates = gyro.iter().any(|gyro| gyro.norm() > 0.0);
     (has_rates && square > 0.0).then(|| GyroResidual {
         scale: along / square,

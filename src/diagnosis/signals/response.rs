@@ -76,12 +76,8 @@ impl TimeSeries {
         let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let period_s = median(&mut periods).unwrap_or(0.0);
         let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
-        Self {
-            t_s,
-            columns,
-            slopes,
-            longest_s: MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s),
-        }
+        let longest_s = MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s);
+        Self { t_s, columns, slopes, longest_s }
     }
 
     /// Cubic Hermite. `None` outside the series and in gaps.
@@ -130,9 +126,7 @@ impl TimeSeries {
             }
             filtered
         };
-        let columns: Vec<Vec<f64>> = self.columns.iter().map(filter).collect();
-        let slopes = columns.iter().map(|column| slopes(&self.t_s, column)).collect();
-        Self { t_s: self.t_s.clone(), columns, slopes, longest_s: self.longest_s }
+        Self::new(self.t_s.clone(), self.columns.iter().map(filter).collect())
     }
 }
 
