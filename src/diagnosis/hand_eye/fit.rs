@@ -21,14 +21,14 @@ const OUTLIER_SIGMAS: f64 = 6.0;
 /// Beyond it, outliers cannot be separated from data.
 const MAX_OUTLIER_SHARE: f64 = 0.35;
 
-pub(super) struct HandEyeFit {
+pub(super) struct HandEyeFit<'a> {
     pub state: HandEyeState,
     pub offset_s: Measured,
     /// Position and rotation noise per component, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
-    /// Rows without outliers.
-    keep: Vec<bool>,
+    /// Poses without outliers.
+    setting: HandEyeSetting<'a>,
 }
 
 /// Scale factors of the target's positions.
@@ -44,15 +44,15 @@ pub struct TargetScale {
     pub distance_m: f64,
 }
 
-impl HandEyeFit {
+impl HandEyeFit<'_> {
     /// Scale of the target's positions to first order; `along` is the depth axis.
-    pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
-        let poses = setting.targets.iter().zip(&self.keep).filter(|(_, keep)| **keep);
-        let predicted = poses.filter_map(|((t_s, _), _)| self.state.predict_at(setting, *t_s));
+    pub fn scale(&self, along: usize) -> TargetScale {
+        let Self { state, setting, .. } = self;
+        let predicted = setting.targets.iter().filter_map(|it| state.predict_at(setting, it.0));
         let distances_m: Vec<f64> = predicted.map(|pose| pose.translation.vector.norm()).collect();
         let distance_m = distances_m.iter().sum::<f64>() / distances_m.len().max(1) as f64;
         let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
-            let linear = self.state.linear(setting, &self.keep, Some(stretched));
+            let linear = state.linear(setting, Some(stretched));
             let first_weights = linear.weights_after(&vec![0.0; linear.width]);
             let step = step_of(&normal_of(&linear, &first_weights));
             let weights = linear.weights_after(step.as_slice());
@@ -160,20 +160,14 @@ impl HandEyeState {
         }
     }
 
-    /// Linearises at the poses selected by `keep`. A last column contains the component of the target's position
-    /// that `stretched` selects, if any.
-    fn linear(
-        &self,
-        setting: &HandEyeSetting,
-        keep: &[bool],
-        stretched: Option<&dyn Fn(Vec3) -> Vec3>,
-    ) -> Linear {
+    /// A last column contains the component of the target's position that `stretched` selects, if any.
+    fn linear(&self, setting: &HandEyeSetting, stretched: Option<&dyn Fn(Vec3) -> Vec3>) -> Linear {
         /// For the hand's velocity.
         const STEP_S: f64 = 0.01;
         let mut linear = Linear::new(WIDTH + usize::from(stretched.is_some()), &NOISE_FLOOR_M_RAD);
-        for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
+        for &(t_s, target) in &setting.targets {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
-            let (true, Some(carrier_pose)) = (*keep, at(0.0)) else { continue };
+            let Some(carrier_pose) = at(0.0) else { continue };
             let predicted = self.predict(&carrier_pose);
             let mut rows = linear.push(&difference(&target, &predicted).map(Into::into));
             let observed = predicted.translation.vector;
@@ -209,39 +203,34 @@ pub(crate) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -
     let targets = t_s.iter().map(|&t_s| (t_s, target));
     let setting = HandEyeSetting::new(&series, targets, CameraMount::InHand);
     let state = HandEyeState { camera, constant, offset_s: 0.0 };
-    state.linear(&setting, &vec![true; t_s.len()], None)
+    state.linear(&setting, None)
 }
 
 /// `None` if fewer than [`MIN_POSES`] poses remain.
-pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> Option<HandEyeFit> {
+pub(super) fn fit(
+    setting: HandEyeSetting<'_>,
+    start: HandEyeStart,
+    lag_s: f64,
+) -> Option<HandEyeFit<'_>> {
     let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
-    let all = vec![true; setting.targets.len()];
-    let state = iterate(state, setting, &all)?;
-    let found = with_covariance(state, setting, &all)?;
-    let inliers: Vec<bool> = setting
-        .targets
-        .iter()
-        .map(|(t_s, target)| {
-            let residual = found.residual(setting, *t_s, target);
-            residual.is_some_and(|residual| !found.is_outlier(&residual))
-        })
-        .collect();
-    let retained = inliers.iter().filter(|inliers| **inliers).count();
-    if (retained as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
+    let found = with_covariance(iterate(state, &setting)?, setting)?;
+    let setting = &found.setting;
+    let is_inlier = |(t_s, target): &&(f64, Pose)| {
+        let residual = found.residual(setting, *t_s, target);
+        residual.is_some_and(|residual| !found.is_outlier(&residual))
+    };
+    let targets: Vec<(f64, Pose)> = setting.targets.iter().filter(is_inlier).copied().collect();
+    if (targets.len() as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
         return Some(found);
     }
-    let state = iterate(state, setting, &inliers)?;
-    with_covariance(state, setting, &inliers)
+    let inliers = setting.with_targets(targets);
+    with_covariance(iterate(found.state, &inliers)?, inliers)
 }
 
 /// Halves each step until the cost decreases under the previous weights.
-fn iterate(
-    mut state: HandEyeState,
-    setting: &HandEyeSetting,
-    keep: &[bool],
-) -> Option<HandEyeState> {
+fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeState> {
     const MAX_HALVINGS: usize = 6;
-    let mut linear = state.linear(setting, keep, None);
+    let mut linear = state.linear(setting, None);
     let mut weights = linear.first_weights();
     for _ in 0..MAX_ROUNDS {
         if linear.len() < MIN_POSES {
@@ -252,7 +241,7 @@ fn iterate(
         let mut next = None;
         for _ in 0..MAX_HALVINGS {
             let moved = state.stepped(step.as_slice());
-            let there = moved.linear(setting, keep, None);
+            let there = moved.linear(setting, None);
             // The offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
             if !same || normal_of(&there, &weights).cost <= normal.cost {
@@ -295,12 +284,8 @@ fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
     sandwich(&information, &scores)
 }
 
-fn with_covariance(
-    state: HandEyeState,
-    setting: &HandEyeSetting,
-    keep: &[bool],
-) -> Option<HandEyeFit> {
-    let linear = state.linear(setting, keep, None);
+fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<HandEyeFit<'_>> {
+    let linear = state.linear(&setting, None);
     if linear.len() < MIN_POSES {
         return None;
     }
@@ -319,5 +304,5 @@ fn with_covariance(
         std_error: covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt(),
         dof,
     };
-    Some(HandEyeFit { state, offset_s, sigma, covariance, keep: keep.to_vec() })
+    Some(HandEyeFit { state, offset_s, sigma, covariance, setting })
 }

@@ -301,7 +301,8 @@ fn solve(
     let target = DecodedTarget::new(streams.target, encoding, MAX_FIT_POSES);
     let fits = CameraMount::ALL.map(|mount| {
         let setting = target.setting(streams.hand, mount);
-        let fit = fit(&setting, start::solve_closed_form(&setting, lag_s)?, lag_s)?;
+        let start = start::solve_closed_form(&setting, lag_s)?;
+        let fit = fit(setting, start, lag_s)?;
         Some((mount, fit.misfit(), fit))
     });
     let mut fits: Vec<(CameraMount, f64, HandEyeFit)> = fits.into_iter().flatten().collect();
@@ -311,7 +312,7 @@ fn solve(
     let full = DecodedTarget::new(streams.target, encoding, usize::MAX);
     let closure = closure_error(&full.setting(streams.hand, mount), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
-    let scale = fit.scale(&target.setting(streams.hand, mount), along);
+    let scale = fit.scale(along);
     let offset_s =
         Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
     Some(HandEyeSolution {

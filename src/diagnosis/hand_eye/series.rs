@@ -107,6 +107,11 @@ impl<'a> HandEyeSetting<'a> {
         Self { hand, period_s, mount, targets: target.collect() }
     }
 
+    /// The same with other targets.
+    pub fn with_targets(&self, targets: Vec<(f64, Pose)>) -> Self {
+        Self { targets, ..*self }
+    }
+
     /// Carrier pose at `t_s`.
     pub fn carrier_at(&self, t_s: f64) -> Option<Pose> {
         let hand = self.hand.at(t_s, self.period_s)?;

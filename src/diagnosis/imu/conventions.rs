@@ -311,7 +311,7 @@ fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError>
     /// Share of the median. A larger spread is motion, not gravity.
     const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
     let all: Vec<usize> = (0..track.accel.len()).collect();
-    let rows = if rests.len() >= MIN_FIT_SAMPLES { rests } else { &all };
+    let rows: &[usize] = if rests.len() >= MIN_FIT_SAMPLES { rests } else { &all };
     let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
     let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
     let felt = median?;

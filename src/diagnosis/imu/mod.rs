@@ -110,8 +110,13 @@ pub(super) fn diagnose_converted_imu(
     let link = Link::new(joints, &accel_stream, numbers);
     let logged = stream.link_from_imu.map(|pose| pose.rotation);
     let mount = by_orientation.or(logged).unwrap_or_default();
+    let forces = link.static_forces(lag_s, &mount);
+    let tilt_rad = match stream.track.orientation.is_empty() {
+        true => Err(NotObservable::NoOrientation),
+        false => tilt::tilt(&forces[0]),
+    };
     let found = match orientation {
-        Ok((_, found)) => ImuDiagnosis { axes_rotation, up: link.up(lag_s, &mount), ..found },
+        Ok((_, found)) => ImuDiagnosis { axes_rotation, up: tilt::up(&forces), ..found },
         Err(why) => ImuDiagnosis {
             link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
             mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
@@ -129,7 +134,7 @@ pub(super) fn diagnose_converted_imu(
         latency_profile,
         skew,
         conventions: numbers.clone(),
-        tilt_rad: link.tilt(lag_s, &mount),
+        tilt_rad,
         gyro_bias: gyro.and_then(|fit| fit.bias),
         ..found
     }

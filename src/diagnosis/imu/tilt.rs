@@ -27,7 +27,7 @@ impl Link<'_> {
 
     /// Specific forces without acceleration, in the orientation's world and in the base: while the arm rests, otherwise
     /// those in motion less the acceleration by FK.
-    fn static_forces(&self, lag_s: f64, link_from_imu: &Rotation) -> [Vec<Vec3>; 2] {
+    pub(super) fn static_forces(&self, lag_s: f64, link_from_imu: &Rotation) -> [Vec<Vec3>; 2] {
         let at_rest = self.forces(lag_s, link_from_imu, REST_MARGIN_S, |states| {
             states.iter().all(|state| !state.moving).then(Vec3::zeros)
         });
@@ -70,30 +70,17 @@ impl Link<'_> {
         }
         [in_world, in_base]
     }
+}
 
-    /// Direction opposite to gravity.
-    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
-        let [in_world, in_base] = self.static_forces(lag_s, link_from_imu);
-        let mean = |forces: &[Vec3]| forces.iter().sum::<Vec3>().try_normalize(f64::MIN_POSITIVE);
-        (in_world.len() >= MIN_SAMPLES).then_some(())?;
-        let base_tilt_rad = tilt(&in_base).ok()?;
-        Some(UpDirections { in_world: mean(&in_world)?, in_base: mean(&in_base)?, base_tilt_rad })
-    }
-
-    pub(super) fn tilt(
-        &self,
-        lag_s: f64,
-        link_from_imu: &Rotation,
-    ) -> EstimateResult<MeasuredLength> {
-        if self.stream.track.orientation.is_empty() {
-            return Err(NotObservable::NoOrientation);
-        }
-        tilt(&self.static_forces(lag_s, link_from_imu)[0])
-    }
+/// Direction opposite to gravity, by forces in the orientation's world and in the base.
+pub(super) fn up([in_world, in_base]: &[Vec<Vec3>; 2]) -> Option<UpDirections> {
+    let mean = |forces: &[Vec3]| forces.iter().sum::<Vec3>().try_normalize(f64::MIN_POSITIVE);
+    let base_tilt_rad = tilt(in_base).ok()?;
+    Some(UpDirections { in_world: mean(in_world)?, in_base: mean(in_base)?, base_tilt_rad })
 }
 
 /// Angle between the z axis and the mean force. The standard error comes from the spread over blocks.
-fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
+pub(super) fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
     if n < MIN_SAMPLES {
         return Err(NotObservable::TooFewSamples { have: n, need: MIN_SAMPLES });
