@@ -112,19 +112,6 @@ impl Added {
         self.own.ger(row.weight, added, added, 1.0);
         self.with_residual.axpy(row.weight * row.residual, added, 1.0);
     }
-
-    /// Products of the sums of every `count` columns.
-    fn joined(&self, count: usize) -> Self {
-        let columns = self.with_residual.len();
-        let sums = DMatrix::from_fn(columns, columns.div_ceil(count), |column, sum| {
-            f64::from(u8::from(column / count == sum))
-        });
-        Self {
-            with_base: &self.with_base * &sums,
-            own: sums.tr_mul(&(&self.own * &sums)),
-            with_residual: sums.tr_mul(&self.with_residual),
-        }
-    }
 }
 
 impl<'a> ExtensionTests<'a> {
@@ -277,10 +264,9 @@ impl<'a> ExtensionTests<'a> {
             (0..self.t_s.len()).map(|at| increments.iter().map(|one| one[at]).sum()).collect()
         };
         let columns = &[column];
-        let joined = weights.chunks(JOINED_INCREMENTS).map(join).collect();
-        let added = &self.increments(column, walk);
-        let joined = Extension { columns, weights: joined, added: added.joined(JOINED_INCREMENTS) };
-        let whole = Extension { columns, weights, added: added.clone() };
+        let joined = self.extension(columns, weights.chunks(JOINED_INCREMENTS).map(join).collect());
+        let whole = Extension { columns, weights, added: self.increments(column, walk) };
+        let added = &whole.added;
         let likeliest = |noise: &IndependentNoise| {
             let fit = BaseFit::new(&self.normal, &self.precision, noise.variance)?;
             let typical = noise.variance * walk.increments as f64 / added.own.trace();
