@@ -94,11 +94,8 @@ fn min_gap_s(t_s: &[f64]) -> f64 {
 pub(super) fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const MAX_GAPS: usize = 3;
     let min_gap_s = min_gap_s(t_s);
-    let mut gaps: Vec<(f64, f64)> = t_s
-        .windows(2)
-        .map(|pair| (pair[1] - pair[0], pair[0]))
-        .filter(|(s, _)| *s > min_gap_s)
-        .collect();
+    let intervals = t_s.windows(2).map(|pair| (pair[1] - pair[0], pair[0]));
+    let mut gaps: Vec<(f64, f64)> = intervals.filter(|(s, _)| *s > min_gap_s).collect();
     gaps.sort_by(|a, b| b.0.total_cmp(&a.0));
     let jump = |(long_s, from_s): (f64, f64)| Jump {
         at_s: from_s + 0.5 * long_s,

@@ -366,10 +366,9 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
             continue;
         }
         let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
-        positions
-            .iter_mut()
-            .zip(columns)
-            .for_each(|(positions, &column)| *positions = joints.row(row)[column]);
+        for (position, &column) in positions.iter_mut().zip(columns) {
+            *position = joints.row(row)[column];
+        }
         let measured = chain.forward(&positions);
         metres += (commanded.translation.vector - measured.translation.vector).norm_squared();
         radians += angle_between(&commanded.rotation, &measured.rotation).powi(2);

@@ -12,19 +12,15 @@ const BLOCKS: usize = 12;
 
 /// `None` for fewer than [`MIN_POSES`] poses.
 pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
-    let residuals: Vec<(f64, [Vec3; 2])> = setting
-        .targets
-        .iter()
+    let residuals = setting.targets.iter();
+    let residuals: Vec<(f64, [Vec3; 2])> = residuals
         .filter_map(|(t_s, target)| Some((*t_s, fit.residual(setting, *t_s, target)?)))
         .collect();
     if residuals.len() < MIN_POSES {
         return None;
     }
-    let near: Vec<&[Vec3; 2]> = residuals
-        .iter()
-        .map(|(_, residuals)| residuals)
-        .filter(|residuals| !fit.is_outlier(residuals))
-        .collect();
+    let near = residuals.iter().map(|(_, residuals)| residuals);
+    let near: Vec<&[Vec3; 2]> = near.filter(|residuals| !fit.is_outlier(residuals)).collect();
     let (all, outliers) = (residuals.len(), residuals.len() - near.len());
     let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|residuals| residuals[kind]).collect() };
     let medians = [0, 1].map(|kind| {

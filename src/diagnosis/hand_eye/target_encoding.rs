@@ -61,12 +61,10 @@ fn alternative_encoding(
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
     let logged_misfit = closure_error_with(streams, TargetEncoding::AsLogged, lag_s)?;
-    let mut tried: Vec<(f64, TargetEncoding)> = candidates(streams, lag_s)
-        .into_iter()
-        .filter_map(|encoding| Some((closure_error_with(streams, encoding, lag_s)?, encoding)))
-        .collect();
-    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (misfit, encoding) = *tried.first()?;
+    let tried = candidates(streams, lag_s).into_iter();
+    let tried = tried
+        .filter_map(|encoding| Some((closure_error_with(streams, encoding, lag_s)?, encoding)));
+    let (misfit, encoding) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
     if misfit > MAX_RESIDUAL_RATIO * logged_misfit {
         return None;
     }
@@ -117,15 +115,12 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
         same_angles.extend(signed_permutations().map(TargetEncoding::Axes));
         return same_angles;
     }
-    let mut differences: Vec<(f64, TargetEncoding)> = misinterpretation_classes()
-        .iter()
-        .map(TargetEncoding::Misinterpreted)
-        .map(|encoding| (difference_of(encoding), encoding))
-        .filter(|(difference_of, _)| *difference_of < MAX_RESIDUAL_RATIO * as_logged)
-        .collect();
+    let encodings = misinterpretation_classes().iter().map(TargetEncoding::Misinterpreted);
+    let mut differences: Vec<(f64, TargetEncoding)> =
+        encodings.map(|encoding| (difference_of(encoding), encoding)).collect();
+    differences.retain(|(difference, _)| *difference < MAX_RESIDUAL_RATIO * as_logged);
     differences.sort_by(|a, b| a.0.total_cmp(&b.0));
-    differences.truncate(MAX_ENCODINGS);
-    differences.into_iter().map(|(_, encoding)| encoding).collect()
+    differences.into_iter().take(MAX_ENCODINGS).map(|(_, encoding)| encoding).collect()
 }
 
 /// All 47 others, including left-handed ones.

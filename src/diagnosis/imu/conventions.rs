@@ -97,7 +97,7 @@ impl ImuConventions {
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
         let free = scaled(&free, factor);
-        let mirrored = mirrored_axis(&free, stream.link_from_imu.map(|pose| pose.rotation));
+        let mirrored = mirrored_axis(&free, link.known_mount());
         let clipped = detect_saturation(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
         Self {
             degrees,

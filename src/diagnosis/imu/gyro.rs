@@ -130,7 +130,7 @@ impl Link<'_> {
 
     /// Mount that maps the link's rates to the gyro's, as close to the logged one as the data allow.
     fn initial_mount(&self, lag_s: f64, moves: bool) -> Rotation {
-        let logged = self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
+        let logged = self.known_mount().unwrap_or_default();
         if !moves {
             return logged;
         }
@@ -421,9 +421,8 @@ impl GyroModel<'_> {
     }
 
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
-        let known_mount = self.link.stream.link_from_imu;
-        let known_mount = known_mount.ok_or(NotObservable::NoFrame)?;
-        let error = rotvec_from_rotation(&(known_mount.rotation.inverse() * self.link_from_imu));
+        let known_mount = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
+        let error = rotvec_from_rotation(&(known_mount.inverse() * self.link_from_imu));
         solved.mount_error(Self::MOUNT, error.as_slice())
     }
 

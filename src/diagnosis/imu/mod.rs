@@ -108,8 +108,7 @@ pub(super) fn diagnose_converted_imu(
     let accel_stream =
         ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
     let link = Link::new(joints, &accel_stream, numbers);
-    let logged = stream.link_from_imu.map(|pose| pose.rotation);
-    let mount = by_orientation.or(logged).unwrap_or_default();
+    let mount = by_orientation.or(link.known_mount()).unwrap_or_default();
     let forces = link.static_forces(lag_s, &mount);
     let tilt_rad = match stream.track.orientation.is_empty() {
         true => Err(NotObservable::NoOrientation),
@@ -199,13 +198,11 @@ pub fn reinterpret_imu(
     let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(max_lag_s).first().map_or(0.0, |peak| peak.lag_s);
     let mut buffers = link.buffers();
-    let expected: Vec<Option<Rotation>> = stream
-        .track
-        .t_s
-        .iter()
-        .map(|stamp| link.at(stamp - lag_s, &mut buffers).map(|link_state| link_state.rotation))
-        .collect();
-    let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
+    let state = |stamp: &f64| link.at(stamp - lag_s, &mut buffers);
+    let states = stream.track.t_s.iter().map(state);
+    let expected: Vec<Option<Rotation>> =
+        states.map(|state| state.map(|state| state.rotation)).collect();
+    let mount = link.known_mount().unwrap_or_default();
     let intended = IntendedEncoding { encoding, axes: AxesError::NONE, is_inverted: false };
     decode_rotations(&stream.track.orientation, &intended, &expected, &mount, false)
 }
@@ -356,6 +353,11 @@ impl<'a> Link<'a> {
             stream.columns.iter().map(|&column| joint_noise(joints, column, &rest_speeds));
         let joint_noise = joint_noise.collect();
         Self { joints, stream, numbers, rest_speeds, joint_noise, middle_s }
+    }
+
+    /// As logged.
+    fn known_mount(&self) -> Option<Rotation> {
+        self.stream.link_from_imu.map(|pose| pose.rotation)
     }
 
     fn delay(&self, latency_s: f64) -> Delay {

@@ -128,10 +128,6 @@ impl Link<'_> {
         Ok((estimate, model))
     }
 
-    fn known_mount(&self) -> Option<Rotation> {
-        self.stream.link_from_imu.map(|pose| pose.rotation)
-    }
-
     /// Number of links between the first and the last joint.
     fn inner_links(&self) -> usize {
         match self.stream.chain.is_floating() {

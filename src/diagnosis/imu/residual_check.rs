@@ -4,7 +4,7 @@ use super::conventions::{Alignment, RatePair};
 use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION, noise_of_axis};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
-use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::median;
 use ground::stream::JointTrack;
 
@@ -93,10 +93,8 @@ fn orientation_residual(
     let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
     let angle: Vec<Vec3> = angle.collect();
     let t_s: Vec<f64> = link_states.iter().map(|(row, ..)| track.t_s[*row]).collect();
-    let fk: Vec<Pose> = link_states
-        .iter()
-        .map(|(_, state)| Pose::from_parts(Vec3::zeros().into(), state.rotation))
-        .collect();
+    let fk = link_states.iter().map(|(_, state)| pose([0.0; 3], state.rotation));
+    let fk: Vec<Pose> = fk.collect();
     let nothing = vec![Vec3::zeros(); angle.len()];
     let moves = vec![true; angle.len()];
     Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))

@@ -91,10 +91,10 @@ pub fn diagnose_velocity(
     let half_s = 0.5 * median_period_s(own.t_s);
     let curve = own.curve();
     // A difference of samples is the rate midway.
-    let of_difference = [-half_s, half_s]
-        .map(|delay_s| changes.references(&curve, delay_s))
-        .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
-        .map(|shifted| error_of(&shifted));
+    let of_difference = [-half_s, half_s].map(|delay_s| {
+        let shifted = changes.references(&curve, delay_s).into_iter();
+        error_of(&shifted.map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<f64>>())
+    });
     let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
         shifted if shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR => {
             shifted.min(as_recorded)
@@ -202,10 +202,8 @@ impl VelocityWindows {
 
 fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     let period_s = median_period_s(t_s);
-    let jitter: Vec<f64> = t_s
-        .windows(2)
-        .map(|pair| (pair[1] - pair[0] - period_s).clamp(-period_s, period_s))
-        .collect();
+    let jitter = t_s.windows(2).map(|pair| pair[1] - pair[0] - period_s);
+    let jitter: Vec<f64> = jitter.map(|late_s| late_s.clamp(-period_s, period_s)).collect();
     let second_differences: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
     let quantum = quantisation_step(q);
     Noise {
