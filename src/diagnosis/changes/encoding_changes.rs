@@ -8,10 +8,10 @@ use std::cell::LazyCell;
 
 use super::cause_changes::diagnose_with_large_steps;
 use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
-use super::patches::{decoded_poses, with_poses};
+use super::patches::with_poses;
 use super::profile::Profile;
 use super::split_run::{Span, SplitRun};
-use super::{EncodingSpans, JointChange, JointPatch, constant_frames_suffice, is_explained};
+use super::{EncodingSpans, JointChange, JointPatch, constant_frames_suffice};
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
 use crate::latency::compensation::with_tracks;
@@ -35,8 +35,7 @@ pub(crate) fn diagnose_with_encoding_changes(
     constant: &ArmDiagnosis,
     diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| !is_explained(found, stream);
-    if !constant.streams.iter().zip(run.streams).any(is_open) {
+    if constant.is_explained(run.streams) {
         return None;
     }
     let lag_s = |(stream, found): (&PoseStream, &PoseDiagnosis)| match &found.latency_s {
@@ -211,12 +210,9 @@ impl Segments {
     }
 
     fn decoded_track(&self, s: usize) -> PoseTrack {
-        let mut all = self.all().into_iter().map(|segment| segment.decoded_track(s));
-        let first = all.next().unwrap_or_else(|| self.longest.decoded_track(s));
-        all.fold(first, |mut track, next| {
-            track.append(next);
-            track
-        })
+        let mut joined = self.all()[0].decoded_track(s);
+        self.all()[1..].iter().for_each(|segment| joined.append(segment.decoded_track(s)));
+        joined
     }
 
     /// If an encoding differs between segments, reports the one not as logged, with its time span.
@@ -283,9 +279,11 @@ impl Segments {
 }
 
 impl Segment {
+    /// Poses with only the encoding corrected: as logged, frame errors included.
     pub fn decoded_track(&self, s: usize) -> PoseTrack {
         let found = &self.found.streams[s];
-        with_poses(found, decoded_poses(found))
+        let corrected = found.aligned.corrected.iter();
+        with_poses(found, corrected.map(|pose| found.frame_correction.invert(pose)))
     }
 
     /// Whether each encoding of the other segment is determined, or the same.

@@ -52,11 +52,7 @@ impl JointPatch {
     }
 }
 
-/// Poses with only the encoding corrected: as logged, frame errors included.
-pub(super) fn decoded_poses(diagnosis: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
-    diagnosis.aligned.corrected.iter().map(|pose| diagnosis.frame_correction.invert(pose))
-}
-
+/// A stream with decoded poses.
 pub(super) fn with_poses(
     diagnosis: &PoseDiagnosis,
     poses: impl Iterator<Item = Pose>,

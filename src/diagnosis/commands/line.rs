@@ -100,18 +100,16 @@ pub(super) fn detect_lines(
     rests: &[Rest],
     measured_poses: &[MeasuredPoses<'_>],
 ) -> Vec<CommandedLine> {
-    let stops: Vec<&ConstantCommand> = constant_commands
-        .iter()
-        .filter(|command| series.t_s[command.last] - series.t_s[command.first] >= MIN_REST_S)
-        .collect();
+    let duration_s = |stop: &ConstantCommand| series.t_s[stop.last] - series.t_s[stop.first];
+    let stops = constant_commands.iter().filter(|stop| duration_s(stop) >= MIN_REST_S);
+    let stops: Vec<&ConstantCommand> = stops.collect();
     let pairs = stops.windows(2).filter_map(|pair| {
         let (from, to) = (pair[0], pair[1]);
         let rows = from.last..to.first + 1;
         let (mut line, motion) = commanded_line(series, rows)?;
-        line.deviations = measured_poses
-            .iter()
-            .map(|measured_poses| line_deviation(&line, &motion, rests, to, measured_poses))
-            .collect();
+        let deviations =
+            measured_poses.iter().map(|poses| line_deviation(&line, &motion, rests, to, poses));
+        line.deviations = deviations.collect();
         Some(line)
     });
     pairs.collect()

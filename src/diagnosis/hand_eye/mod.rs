@@ -280,9 +280,6 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
 
 /// Smallest closure error of the closed form.
 fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
-    if let [only] = lags {
-        return *only;
-    }
     let misfit = |lag_s: f64| {
         let starts = CameraMount::ALL
             .map(|mount| start::solve_closed_form(&target.setting(hand, mount), lag_s));

@@ -29,21 +29,18 @@ pub(super) fn combined_rad(length_m: f64, angle_rad: f64) -> f64 {
 pub(super) fn solve_closed_form(setting: &HandEyeSetting, lag_s: f64) -> Option<HandEyeStart> {
     let pairs = setting.pairs_at(lag_s, MAX_CLOSED_FORM_POSES);
     let rotations = camera_rotations(&pairs)?;
-    let starts = rotations.iter().filter_map(|rotation| with_rotation(&pairs, rotation));
+    let starts = rotations.into_iter().filter_map(|rotation| with_rotation(&pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
 /// Uses a single candidate if there is only one axis.
 pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<HandEyeStart> {
-    with_rotation(pairs, camera_rotations(pairs)?.first()?)
+    with_rotation(pairs, *camera_rotations(pairs)?.first()?)
 }
 
-fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart> {
-    let rotation = *rotation;
-    let constants: Vec<Rotation> = pairs
-        .iter()
-        .map(|pair| pair.carrier_pose.rotation * rotation * pair.target.rotation)
-        .collect();
+fn with_rotation(pairs: &[PosePair], rotation: Rotation) -> Option<HandEyeStart> {
+    let constant = |pair: &PosePair| pair.carrier_pose.rotation * rotation * pair.target.rotation;
+    let constants: Vec<Rotation> = pairs.iter().map(constant).collect();
     let constant_rotation = medoid_rotation(&constants)?;
     let translations = fit_positions(pairs, &rotation, 0, &[])?.values;
     let [camera, constant] = [(0, rotation), (3, constant_rotation)].map(|(first, rotation)| {

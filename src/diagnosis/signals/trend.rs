@@ -158,12 +158,10 @@ impl LineFit {
 
     /// Fit with this variance between runs, and its weighted sum of squares.
     fn with_variance(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<(Self, f64)> {
-        let rows = || {
-            estimates
-                .iter()
-                .zip(x)
-                .map(|(one, &x)| (1.0 / (one.std_error.powi(2) + variance), x, one.value))
+        let row = |(one, &x): (&RunEstimate, &f64)| {
+            (1.0 / (one.std_error.powi(2) + variance), x, one.value)
         };
+        let rows = || estimates.iter().zip(x).map(row);
         let weight: f64 = rows().map(|(w, ..)| w).sum();
         let middle = rows().map(|(w, x, _)| w * x).sum::<f64>() / weight;
         let level = rows().map(|(w, _, y)| w * y).sum::<f64>() / weight;
