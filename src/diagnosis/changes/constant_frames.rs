@@ -1,14 +1,16 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
+use crate::model::jacobian::PoseJacobian;
+use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use crate::residuals::cause_columns::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
+use crate::solver::linear::{Linear, Normal};
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
-use ground::geometry::{Vec3, rotvec_from_rotation};
-use nalgebra::{Matrix3, SMatrix, SVector};
+use ground::geometry::{Pose, Vec3};
+use nalgebra::DVector;
 
 /// 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
-/// Weights rotations relative to positions.
-const LEVER_M: f64 = 0.3;
 const SEGMENTS: usize = 20;
 
 /// Whether constant tool and reference frames explain the run: every stream's residual must be below 1 mm
@@ -16,15 +18,16 @@ const SEGMENTS: usize = 20;
 pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
         let residuals = constant_frame_residuals(aligned, has_rotation);
-        let size = residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
-        !residuals.is_empty()
-            && residuals.chunks(size).all(|part| {
-                let rms = |kind: usize| {
-                    let squares: f64 = part.iter().map(|both| both[kind].norm_squared()).sum();
-                    (squares / part.len() as f64).sqrt()
-                };
-                (0..2).all(|kind| rms(kind) < MAX_RESIDUAL_M_RAD[kind])
-            })
+        let samples = aligned.fk_at_truth.len();
+        let size = samples.div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
+        let rms = |part: &[[f64; 3]]| {
+            let squares: f64 = part.iter().map(|one| Vec3::from(*one).norm_squared()).sum();
+            (squares / part.len() as f64).sqrt()
+        };
+        let is_below = |(residuals, max): (&Vec<[f64; 3]>, f64)| {
+            residuals.chunks(size).all(|part| rms(part) < max)
+        };
+        samples > 0 && residuals.iter().zip(MAX_RESIDUAL_M_RAD).all(is_below)
     };
     let is_explained = |stream: &PoseDiagnosis| {
         !matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)))
@@ -34,54 +37,34 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
 }
 
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
-fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<[Vec3; 2]> {
-    let pairs = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
-    let mut residuals: Vec<[Vec3; 2]> = pairs()
-        .map(|(is, fk)| {
-            let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-            let turn = if has_rotation { turn } else { Vec3::zeros() };
-            [is.translation.vector - fk.translation.vector, turn]
-        })
-        .collect();
-    // Columns: translation and rotation of the reference, then of the tool.
-    let design: Vec<SMatrix<f64, 6, 12>> = pairs()
-        .map(|(_, fk)| {
-            let mut rows = SMatrix::<f64, 6, 12>::zeros();
-            let turn = *fk.rotation.to_rotation_matrix().matrix();
-            rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
-            let lever = -fk.translation.vector.cross_matrix();
-            rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
-            rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&turn);
-            if has_rotation {
-                rows.fixed_view_mut::<3, 3>(3, 3)
-                    .copy_from(&(LEVER_M * Matrix3::<f64>::identity()));
-                rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(LEVER_M * turn));
-            }
-            rows
-        })
-        .collect();
-    let mut normal = SMatrix::<f64, 12, 12>::identity() * (1e-9 * residuals.len() as f64);
-    let mut right = SVector::<f64, 12>::zeros();
-    for (rows, [length, turn]) in design.iter().zip(&residuals) {
-        let mut target = SVector::<f64, 6>::zeros();
-        target.fixed_rows_mut::<3>(0).copy_from(length);
-        target.fixed_rows_mut::<3>(3).copy_from(&(LEVER_M * turn));
-        normal += rows.transpose() * rows;
-        right += rows.transpose() * target;
+fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<[f64; 3]>> {
+    let all: Vec<usize> = (0..12).collect();
+    let mut linear = Linear::new(all.len(), &[FLOOR_M, FLOOR_RAD]);
+    let identity = Pose::identity();
+    let mask = |vector: Vec3| if has_rotation { vector } else { Vec3::zeros() };
+    for (row, fk) in aligned.fk_at_truth.iter().enumerate() {
+        let [shift, turn] = aligned.residual(row, fk);
+        let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
+        let jacobian = PoseJacobian::new(&[], &identity, fk, &identity);
+        let derivatives = (0..6).map(|axis| jacobian.reference(axis));
+        let derivatives = derivatives.chain((0..6).map(|axis| jacobian.tool(axis)));
+        for (column, [shift, turn]) in derivatives.enumerate() {
+            rows.set(0, column, shift.into());
+            rows.set(1, column, mask(turn).into());
+        }
     }
-    let step = normal.cholesky().map_or_else(SVector::zeros, |cholesky| cholesky.solve(&right));
-    for (rows, [length, turn]) in design.iter().zip(&mut residuals) {
-        let explained = rows * step;
-        *length -= explained.fixed_rows::<3>(0);
-        *turn -= explained.fixed_rows::<3>(3) / LEVER_M;
-    }
-    residuals
+    let mut weights = linear.even_weights();
+    weights[1].noise.sigma = 1.0 / LEVER_M;
+    let mut normal = Normal::zeros(all.len());
+    linear.accumulate(&weights, &all, &mut normal);
+    let step = normal.step(&DVector::zeros(all.len()), &all);
+    linear.residuals_after(step.as_slice())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ground::geometry::{Pose, pose, rotation_from_rotvec};
+    use ground::geometry::{pose, rotation_from_rotvec};
 
     /// Moving tip whose poses differ from FK by `off`.
     fn aligned(off: impl Fn(usize, &Pose) -> Pose) -> AlignedSamples {
@@ -96,8 +79,8 @@ mod tests {
         AlignedSamples { corrected, fk_at_truth, ..AlignedSamples::default() }
     }
 
-    fn largest(left: &[[Vec3; 2]]) -> f64 {
-        left.iter().map(|[length, _]| length.norm()).fold(0.0, f64::max)
+    fn largest(residuals: &[Vec<[f64; 3]>]) -> f64 {
+        residuals[0].iter().map(|shift| Vec3::from(*shift).norm()).fold(0.0, f64::max)
     }
 
     #[test]
