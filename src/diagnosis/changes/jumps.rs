@@ -1,6 +1,7 @@
 //! Jumps of recorded numbers that motion and noise do not explain, and gaps.
 
 use crate::latency::correlation::median_period_s;
+use crate::residuals::cause_columns::LEVER_M;
 use crate::residuals::residual_check::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Vec3, rotvec_from_rotation};
@@ -13,8 +14,6 @@ const MAX_CHANGE_POINTS: usize = 8;
 /// Relative to the strongest.
 const MIN_RELATIVE_STRENGTH: f64 = 0.2;
 const MIN_SEPARATION_S: f64 = 0.5;
-/// Converts rotations to lengths.
-const LEVER_M: f64 = 0.3;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {

@@ -1,6 +1,7 @@
 //! Delay of the arm behind its commands.
 
 use crate::latency::correlation::median_period_s;
+use crate::residuals::cause_columns::LEVER_M;
 use crate::samples::sampling::range_of;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};
@@ -129,14 +130,13 @@ fn advances_in_steps(
 
 /// Position, m, and accumulated rotation vectors, rad, times a balancing length.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
-    const ROTATION_LEVER_M: f64 = 0.3;
     let mut rotated = Vec3::zeros();
     let mut columns: [Vec<f64>; 6] = Default::default();
     for (row, pose) in series.poses.iter().enumerate() {
         if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
             rotated += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
         }
-        let scaled = ROTATION_LEVER_M * rotated;
+        let scaled = LEVER_M * rotated;
         let both = pose.translation.vector.iter().chain(scaled.iter());
         columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
     }

@@ -271,11 +271,11 @@ pub(super) fn add_likeliest_effects<M: Model>(
 ) -> (M, Solved) {
     let mut solved = fit(&mut model);
     for _ in 0..MAX_EFFECTS {
-        let Some(extended) = with_likeliest_effect(&model, candidates) else { break };
+        let Some(mut extended) = with_likeliest_effect(&model, candidates) else { break };
         let wanders = extended.effects().walk.is_some() && model.effects().walk.is_none();
         if wanders && model.effects().of(Block::Yaw).next().is_some() {
             // The walk was taken for other effects on the yaw. Its density is estimated without them.
-            model.effects_mut().remove(Block::Yaw);
+            model.effects().remove(Block::Yaw);
             fit(&mut model);
             let with_walk = with_likeliest_effect(&model, &[(Block::Yaw, Shape::Walk)]);
             model = with_walk.unwrap_or(extended);
@@ -306,7 +306,8 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
         base.push((column, variance.recip()));
     }
     let tests = ExtensionTests::new(&linearization.linear, t_s, &base, M::MODEL_ERROR)?;
-    let effects = model.effects();
+    let mut extended = model.clone();
+    let effects = extended.effects().clone();
     let is_free = |&&(block, shape): &&(Block, Shape)| match (block, shape) {
         (Block::Yaw, Shape::Walk) => effects.walk.is_none(),
         (Block::Yaw, Shape::Step) | (Block::World, _) => true,
@@ -352,9 +353,8 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
         false => best,
     };
     let (_, addition) = found.into_iter().filter(|one| one.0 > 0.0).reduce(likelier)?;
-    let mut extended = model.clone();
     let mut push = |block: Block, profile: Profile| {
-        extended.effects_mut().push(block, profile, model.columns_of(block).len());
+        extended.effects().push(block, profile, model.columns_of(block).len());
     };
     match addition {
         // Only the yaw of the world is reported.
@@ -363,7 +363,7 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
             (yaw.log_bayes_factor > 0.0).then(|| push(Block::Yaw, step_at(&yaw)))?;
         }
         Addition::Effect(block, profile) => push(block, profile),
-        Addition::Walk(walk) => extended.effects_mut().walk = Some(walk),
+        Addition::Walk(walk) => extended.effects().walk = Some(walk),
     }
     Some(extended)
 }
@@ -441,11 +441,7 @@ mod tests {
             self.effects.apply(delta.as_slice());
         }
 
-        fn effects(&self) -> &Effects {
-            &self.effects
-        }
-
-        fn effects_mut(&mut self) -> &mut Effects {
+        fn effects(&mut self) -> &mut Effects {
             &mut self.effects
         }
 

@@ -531,11 +531,7 @@ impl Model for GyroModel<'_> {
         }
     }
 
-    fn effects(&self) -> &Effects {
-        &self.effects
-    }
-
-    fn effects_mut(&mut self) -> &mut Effects {
+    fn effects(&mut self) -> &mut Effects {
         &mut self.effects
     }
 

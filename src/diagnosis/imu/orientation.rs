@@ -482,11 +482,7 @@ impl Model for OrientationModel<'_> {
         self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
     }
 
-    fn effects(&self) -> &Effects {
-        &self.effects
-    }
-
-    fn effects_mut(&mut self) -> &mut Effects {
+    fn effects(&mut self) -> &mut Effects {
         &mut self.effects
     }
 

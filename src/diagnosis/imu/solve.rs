@@ -23,9 +23,7 @@ pub(super) trait Model: Clone {
     /// One entry per column of the design.
     fn apply(&mut self, delta: &DVector<f64>);
 
-    fn effects(&self) -> &Effects;
-
-    fn effects_mut(&mut self) -> &mut Effects;
+    fn effects(&mut self) -> &mut Effects;
 
     fn columns_of(&self, block: Block) -> Vec<usize>;
 
@@ -78,11 +76,10 @@ impl DesignNoise {
         let base_from_imu = base_from_imu.to_rotation_matrix();
         let in_imu = base_from_imu.matrix().tr_mul(&(covariance * base_from_imu.matrix()));
         let noise = Matrix3::from_diagonal_element(in_imu.trace()) - in_imu;
-        let slip = effects
+        let slips = effects
             .of(Block::Mount)
-            .next()
             .map(|slip| (slip.columns.start, slip.profile.weights(t_s, &Rotation::identity())[0]));
-        for (start, weight) in std::iter::once((mount.start, 1.0)).chain(slip) {
+        for (start, weight) in std::iter::once((mount.start, 1.0)).chain(slips) {
             let mut block = self.squares.fixed_view_mut::<3, 3>(start, start);
             block += noise * weight;
         }
