@@ -9,7 +9,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::measured_poses::{MeasuredPoses, length_of, variance_of_mean};
-use super::rest::{ConstantCommand, MIN_REST_S, Rest, mean_pose};
+use super::rest::{ConstantCommand, MIN_REST_S, Rest, mean_pose, poses_within};
 use crate::PoseSeries;
 use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
@@ -235,11 +235,10 @@ fn line_deviation(
     }
     let series = measured_poses.series;
     let ends = [
-        ((before.to_s - END_S).max(before.from_s), before.to_s),
-        (after.from_s, (after.from_s + END_S).min(after.to_s)),
+        poses_within(series, (before.to_s - END_S).max(before.from_s), before.to_s),
+        poses_within(series, after.from_s, (after.from_s + END_S).min(after.to_s)),
     ];
-    let [first, last] =
-        [mean_pose(series, ends[0].0, ends[0].1)?, mean_pose(series, ends[1].0, ends[1].1)?];
+    let [first, last] = [mean_pose(ends[0])?, mean_pose(ends[1])?];
     let tip_from_point = commanded_point(motion, line, &first, &last)?;
     let measured_motion = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
     let is_same_motion = (measured_motion.length_m - motion.length_m).abs()
@@ -270,9 +269,7 @@ fn line_deviation(
         let bin = &mut sums[((part * bins as f64) as usize).min(bins - 1)];
         *bin = (bin.0 + deviation, bin.1 + turn, bin.2 + 1);
     }
-    let end_count =
-        |(from_s, to_s): (f64, f64)| super::rest::poses_within(series, from_s, to_s).count();
-    let fewest = end_count(ends[0]).min(end_count(ends[1]));
+    let fewest = ends[0].len().min(ends[1].len());
     let farthest = |kind: usize| {
         let noise = &measured_poses.noise[kind];
         let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(deviation, turn, count)| {

@@ -18,8 +18,9 @@ pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
     const FLOOR: f64 = 1e-6;
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for rest in rests {
-        let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
-        for pose in poses_within(series, rest.from_s, rest.to_s) {
+        let poses = poses_within(series, rest.from_s, rest.to_s);
+        let Some(mean) = mean_pose(poses) else { continue };
+        for pose in poses {
             let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
             metres.push((pose.translation.vector - mean.translation.vector).into());
             radians.push(turn.into());

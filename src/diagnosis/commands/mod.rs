@@ -23,7 +23,7 @@ use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
 use measured_poses::{MeasuredPoses, length_of, pose_noise, variance_of_mean};
-use rest::{ConstantCommand, Rest, constant_commands, detect_rests, mean_pose};
+use rest::{ConstantCommand, Rest, constant_commands, detect_rests, mean_pose, poses_within};
 
 /// Commanded poses over time.
 #[derive(Clone, Debug, Default)]
@@ -266,15 +266,17 @@ fn rest_error(
     const MAX_REST_MOTION_M_RAD: (f64, f64) = (2e-4, 3e-4);
     const SIGMAS: f64 = 4.0;
     let series = measured_poses.series;
-    let count = rest::poses_within(series, from_s, to_s).count();
+    let poses = poses_within(series, from_s, to_s);
+    let count = poses.len();
     if count < FEWEST {
         return None;
     }
     let middle_s = 0.5 * (from_s + to_s);
-    let measured = mean_pose(series, from_s, to_s)?;
-    let halves = [mean_pose(series, from_s, middle_s)?, mean_pose(series, middle_s, to_s)?];
-    let crept_m = (halves[1].translation.vector - halves[0].translation.vector).norm();
-    let crept_rad = angle_between(&halves[0].rotation, &halves[1].rotation);
+    let measured = mean_pose(poses)?;
+    let early = mean_pose(poses_within(series, from_s, middle_s))?;
+    let late = mean_pose(poses_within(series, middle_s, to_s))?;
+    let crept_m = (late.translation.vector - early.translation.vector).norm();
+    let crept_rad = angle_between(&early.rotation, &late.rotation);
     let by_noise = |noise: &Noise| SIGMAS * (2.0 * variance_of_mean(noise, count / 2)).sqrt();
     let [metres, radians] = &measured_poses.noise;
     if crept_m > MAX_REST_MOTION_M_RAD.0 + by_noise(metres)

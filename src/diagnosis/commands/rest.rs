@@ -109,24 +109,19 @@ pub(super) fn constant_commands(
     found
 }
 
-pub(super) fn poses_within(
-    series: &PoseSeries,
-    from_s: f64,
-    to_s: f64,
-) -> impl Iterator<Item = &Pose> {
+pub(super) fn poses_within(series: &PoseSeries, from_s: f64, to_s: f64) -> &[Pose] {
     let from = series.t_s.partition_point(|&t| t < from_s);
     let to = series.t_s.partition_point(|&t| t <= to_s).max(from);
-    series.poses[from..to].iter()
+    &series.poses[from..to]
 }
 
-/// Mean of nearly equal poses. `None` if the interval has none.
-pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
-    let first = poses_within(series, from_s, to_s).next()?;
-    let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);
-    for pose in poses_within(series, from_s, to_s) {
+/// Mean of nearly equal poses. `None` if there are none.
+pub(super) fn mean_pose(poses: &[Pose]) -> Option<Pose> {
+    let first = poses.first()?;
+    let (mut xyz, mut turn, count) = (Vec3::zeros(), Vec3::zeros(), poses.len() as f64);
+    for pose in poses {
         xyz += pose.translation.vector;
         turn += rotvec_from_rotation(&(first.rotation.inverse() * pose.rotation));
-        count += 1.0;
     }
     let rotation = first.rotation * rotation_from_rotvec(turn / count);
     Some(Pose::from_parts((xyz / count).into(), rotation))

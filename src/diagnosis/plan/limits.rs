@@ -89,10 +89,8 @@ pub fn limit_violations(
     const DIFFERENCE_TOLERANCE: f64 = 1e-2;
     let mut found = Vec::new();
     for (joint, limits) in chain.limits().iter().enumerate() {
-        let mut hold = |bound: LimitKind,
-                        limit: f64,
-                        over: &mut dyn Iterator<Item = (f64, f64, f64)>| {
-            let worst = over.max_by(|a, b| a.2.total_cmp(&b.2));
+        let mut hold = |bound: LimitKind, limit: f64, over: Vec<(f64, f64, f64)>| {
+            let worst = over.into_iter().max_by(|a, b| a.2.total_cmp(&b.2));
             if let Some((t_s, value, _)) = worst.filter(|worst| worst.2 > 0.0 || worst.2.is_nan()) {
                 found.push(LimitViolation { joint, bound, t_s, value, limit });
             }
@@ -103,11 +101,11 @@ pub fn limit_violations(
         };
         if let Some(lower) = limits.lower {
             let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - ROUNDING_TOLERANCE);
-            hold(LimitKind::Lower, lower, &mut positions().map(over));
+            hold(LimitKind::Lower, lower, positions().map(over).collect());
         }
         if let Some(upper) = limits.upper {
             let over = |(t_s, q): (f64, f64)| (t_s, q, q - upper - ROUNDING_TOLERANCE);
-            hold(LimitKind::Upper, upper, &mut positions().map(over));
+            hold(LimitKind::Upper, upper, positions().map(over).collect());
         }
         let most = speed[joint];
         let logged = (0..motion.len()).map(|row| {
@@ -116,11 +114,11 @@ pub fn limit_violations(
         });
         let between = rates(motion, joint)
             .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCE_TOLERANCE)));
-        hold(LimitKind::Speed, most, &mut logged.chain(between));
+        hold(LimitKind::Speed, most, logged.chain(between).collect());
         let most = acceleration[joint];
-        let mut over = rates(motion, joint)
+        let between = rates(motion, joint)
             .map(|(t_s, _, rate)| (t_s, rate, rate.abs() - most * (1.0 + DIFFERENCE_TOLERANCE)));
-        hold(LimitKind::Acceleration, most, &mut over);
+        hold(LimitKind::Acceleration, most, between.collect());
     }
     found
 }
