@@ -69,14 +69,11 @@ fn alternative_encoding(
         return None;
     }
     let solution = solve(streams, encoding, lag_s)?;
-    let closes = |a: &HandEyeSolution, b: &HandEyeSolution| {
-        let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
-        let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
-        let is_far_better = a.closure.rms_m < MAX_RESIDUAL_RATIO * b.closure.rms_m
-            || a.closure.rms_rad < MAX_RESIDUAL_RATIO * b.closure.rms_rad;
-        m && rad && is_far_better
-    };
-    closes(&solution, as_logged).then_some((encoding, solution))
+    let (found, logged) = (&solution.closure, &as_logged.closure);
+    let errors = [(found.rms_m, logged.rms_m), (found.rms_rad, logged.rms_rad)];
+    let closes = errors.iter().all(|(found, logged)| *found <= 1.1 * logged)
+        && errors.iter().any(|(found, logged)| *found < MAX_RESIDUAL_RATIO * logged);
+    closes.then_some((encoding, solution))
 }
 
 /// Uses the better mounting.

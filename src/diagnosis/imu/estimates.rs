@@ -135,14 +135,6 @@ pub struct GyroScaleError {
     pub misalignment_rad: Option<[Measured; 3]>,
 }
 
-impl GyroScaleError {
-    /// With a relative error of the rates with which the gyro is compared.
-    pub(super) fn with_relative_error(self, error: f64) -> Self {
-        let widened = |one: Measured| Measured { std_error: one.std_error.hypot(error), ..one };
-        Self { scale: self.scale.map(widened), ..self }
-    }
-}
-
 /// Yaw error of an IMU apart from constant drift.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct YawProfile {

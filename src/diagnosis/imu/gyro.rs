@@ -11,7 +11,7 @@ use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
-    check_explained, mount_of, noise_of_axis, rms,
+    check_explained, mount_of, noise_of_axis, rms, widened,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
@@ -50,8 +50,7 @@ impl GyroFit {
         let rotation = rotvec_from_rotation(&imu_from_gyro);
         let mut size_rad =
             self.solved.observable_length(GyroModel::MOUNT, rotation.as_slice()).ok()?;
-        let std_error = &mut size_rad.norm.std_error;
-        *std_error = std_error.hypot(self.relative_fk_error);
+        size_rad.norm = widened(size_rad.norm, self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
 }
@@ -109,7 +108,10 @@ impl Link<'_> {
         }
         let rotation_rad = self.rotation_rms_rad(&model.delay);
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
-        let scale_error = scale_error.map(|it| it.with_relative_error(relative_fk_error));
+        let scale_error = scale_error.map(|it: GyroScaleError| {
+            let scale = it.scale.map(|one| widened(one, relative_fk_error));
+            GyroScaleError { scale, ..it }
+        });
         if rotation_rad > MIN_ROTATION_RAD {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
@@ -232,25 +234,21 @@ impl GyroModel<'_> {
         let track = self.link.stream.track;
         let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
         let mut buffers = self.link.buffers();
-        let mut rate_at = |t_s: f64| {
-            let link_state = self.link.at(t_s, &mut buffers)?;
-            Some((link_state.body_rate(), link_state.rate_noise))
-        };
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
             let truth_s = self.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
-            let [before, rate, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
-                .map(|around_s| rate_at(truth_s + around_s));
-            let ((before, _), (rate, rate_noise), (after, _)) = (before?, rate?, after?);
-            let change = (after - before) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
+            let [before, state, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
+                .map(|around_s| self.link.at(truth_s + around_s, &mut buffers));
+            let (before, state, after) = (before?, state?, after?);
+            let change = (after.body_rate() - before.body_rate()) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
             let measured = self.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
-                residual: [Vec3::zeros(), measured - rate],
+                residual: [Vec3::zeros(), measured - state.body_rate()],
                 velocity: [Vec3::zeros(), change],
                 loads: [0.0; 2],
-                joint_noise: (rate_noise / 3.0).sqrt(),
+                joint_noise: (state.rate_noise / 3.0).sqrt(),
             })
         })
         .collect()

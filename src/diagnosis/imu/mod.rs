@@ -241,18 +241,19 @@ impl Clock {
             [first, .., last] => last - first,
             _ => 0.0,
         };
-        let widen = |estimate: EstimateResult<Measured>, by: f64| {
-            estimate
-                .map(|measured| Measured { std_error: measured.std_error.hypot(by), ..measured })
-        };
         // Stamp errors at both ends simulate a skew.
         let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
         Self {
-            latency_s: widen(self.latency_s, stream.stamp_error_s),
-            skew: widen(self.skew, simulated_skew),
+            latency_s: self.latency_s.map(|it| widened(it, stream.stamp_error_s)),
+            skew: self.skew.map(|it| widened(it, simulated_skew)),
             ..self
         }
     }
+}
+
+/// With an independent error.
+fn widened(measured: Measured, error: f64) -> Measured {
+    Measured { std_error: measured.std_error.hypot(error), ..measured }
 }
 
 /// Lags with nearly equal correlations, as in repetitive motion.

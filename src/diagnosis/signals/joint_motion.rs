@@ -97,7 +97,7 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
     /// In intervals.
     const MIN_GAP_PERIODS: f64 = 4.0;
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
-    let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
+    let Some(period_s) = quantile_of(intervals, 0.5) else { return t_s.to_vec() };
     let gap_s = MIN_GAP_PERIODS * period_s;
     let mut segments = vec![0; t_s.len()];
     for row in 1..t_s.len() {
@@ -215,7 +215,8 @@ pub fn peak_acceleration(
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
-    let period_s = median_of(strided(rows.saturating_sub(1)).map(|row| t_s[row + 1] - t_s[row]))?;
+    let intervals = strided(rows.saturating_sub(1)).map(|row| t_s[row + 1] - t_s[row]);
+    let period_s = quantile_of(intervals, 0.5)?;
     if rows < MIN_SERIES_SAMPLES || period_s.is_nan() || period_s <= 0.0 {
         return None;
     }
@@ -407,10 +408,6 @@ fn trimmed_rms(values: impl Iterator<Item = f64>, retained_share: f64) -> f64 {
     }
     squares.select_nth_unstable_by(count - 1, f64::total_cmp);
     (squares[..count].iter().sum::<f64>() / (count as f64 * variance)).sqrt()
-}
-
-fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
-    quantile_of(values, 0.5)
 }
 
 fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
