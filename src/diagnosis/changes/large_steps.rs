@@ -26,7 +26,6 @@ pub(super) enum StepSize {
 }
 
 /// Causes of a segment.
-#[derive(Clone)]
 struct Causes {
     /// Per stream.
     frames: Vec<FrameCorrection>,
@@ -103,10 +102,8 @@ pub(super) fn large_steps(
                             Frame::Reference => by * before,
                             Frame::Tool => before * by,
                         };
-                        steps.push(LargeStep {
-                            jump,
-                            size: StepSize::Frame(s, frame, [before, *turn]),
-                        });
+                        let size = StepSize::Frame(s, frame, [before, *turn]);
+                        steps.push(LargeStep { jump, size });
                     }
                 }
             }

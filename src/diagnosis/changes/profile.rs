@@ -175,13 +175,12 @@ impl Profile {
     }
 
     pub fn course(&self) -> Course {
-        match *self {
-            Self::Step(_) => Course::Step,
-            Self::Drift { shape: Shape::Ramp { .. }, .. } => Course::Ramp,
-            Self::Drift {
-                run_s: [start_s, end_s],
-                shape: Shape::Settling { ln_time_constant },
-            } => Course::Settling(ln_time_constant.exp() * (end_s - start_s)),
+        let Self::Drift { run_s: [start_s, end_s], shape } = *self else { return Course::Step };
+        match shape {
+            Shape::Ramp { .. } => Course::Ramp,
+            Shape::Settling { ln_time_constant: ln } => {
+                Course::Settling(ln.exp() * (end_s - start_s))
+            }
         }
     }
 

@@ -63,11 +63,8 @@ pub(super) fn estimate_scale_error(
             && one.value > 0.0
             && (one.value - 1.0).abs() > (MIN_STD_ERRORS * one.std_error).max(MIN_DEVIATION)
     };
-    let found = TargetScaleError {
-        size: Some(size).filter(|one| has_size && is_precise(one)),
-        depth: Some(depth).filter(|one| has_depth && is_precise(one)),
-        along,
-        is_either,
-    };
-    (found.size.is_some() || found.depth.is_some()).then_some(found)
+    let size = Some(size).filter(|one| has_size && is_precise(one));
+    let depth = Some(depth).filter(|one| has_depth && is_precise(one));
+    let is_any = size.is_some() || depth.is_some();
+    is_any.then_some(TargetScaleError { size, depth, along, is_either })
 }

@@ -85,7 +85,7 @@ impl ImuConventions {
     pub fn detect(joints: &JointTrack, stream: &ImuStream, max_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
-        let peak = link.peaks(max_lag_s).into_iter().next();
+        let peak = link.peaks(max_lag_s).first().copied();
         let follows = peak.filter(|peak| peak.correlation > MIN_CORRELATION);
         let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
         let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
@@ -97,14 +97,11 @@ impl ImuConventions {
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
         let free = scaled(&free, factor);
-        let mirrored = mirrored_axis(&free, link.known_mount());
-        let clipped = detect_saturation(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
-        Self {
-            degrees,
-            accel: accel_unit_error(stream.track, &link.rows_at_rest(lag_s)),
-            saturation: clipped,
-            mirrored_axis: mirrored,
-        }
+        let mirrored_axis = mirrored_axis(&free, link.known_mount());
+        let rows = stream.track.gyro.len();
+        let saturation = detect_saturation(&plateaus, &pairs, &free, factor, rows);
+        let accel = accel_unit_error(stream.track, &link.rows_at_rest(lag_s));
+        Self { degrees, accel, saturation, mirrored_axis }
     }
 
     /// Converts the track to rad/s, m/s² and right-handed axes.

@@ -296,6 +296,7 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
 }
 
 /// State of the link at one time.
+#[derive(Default)]
 struct LinkState {
     /// `base_from_link`.
     rotation: Rotation,
@@ -384,14 +385,8 @@ impl<'a> Link<'a> {
             *joint_q = q[column];
         }
         let pose = self.stream.chain.forward_with_jacobian(&buffers.q, &mut buffers.jacobian);
-        let mut link_state = LinkState {
-            rotation: pose.rotation,
-            position: pose.translation.vector,
-            rate: Vec3::zeros(),
-            rotation_noise: Matrix3::zeros(),
-            rate_noise: 0.0,
-            moving: false,
-        };
+        let (rotation, position) = (pose.rotation, pose.translation.vector);
+        let mut link_state = LinkState { rotation, position, ..LinkState::default() };
         let columns = buffers.jacobian.iter().zip(self.stream.columns).zip(&self.joint_noise);
         for ((column, &track), [position, velocity]) in columns {
             let axis = Vec3::new(column[3], column[4], column[5]);

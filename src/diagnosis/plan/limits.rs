@@ -65,12 +65,9 @@ pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
     let extent = |joint: usize| {
         let [low, high] = range_of(column(&motion.q, joint));
         let speeds = rates(motion, joint).map(|rate| rate.1);
-        JointRange {
-            low,
-            high,
-            speed: most(&mut column(&motion.qd, joint).into_iter().chain(speeds)),
-            acceleration: most(&mut rates(motion, joint).map(|rate| rate.2)),
-        }
+        let speed = most(&mut column(&motion.qd, joint).into_iter().chain(speeds));
+        let acceleration = most(&mut rates(motion, joint).map(|rate| rate.2));
+        JointRange { low, high, speed, acceleration }
     };
     (0..motion.dof).map(extent).collect()
 }

@@ -219,12 +219,9 @@ impl<'a> LinearizedMotion<'a> {
         let links = (0..self.links()).map(|i| (i, before(i)));
         let zeros = zeros.map(|joint| (self.zero(joint), ZERO_PRIOR));
         let all = links.chain([(self.latency(), FREE_PRIOR)]).chain(zeros);
-        let (parameters, before): (Vec<usize>, Vec<f64>) = all.unzip();
-        PrecisionQuery {
-            requested: (self.links() + 1..parameters.len()).collect(),
-            parameters,
-            prior: before,
-        }
+        let (parameters, prior): (Vec<usize>, Vec<f64>) = all.unzip();
+        let requested = (self.links() + 1..parameters.len()).collect();
+        PrecisionQuery { parameters, prior, requested }
     }
 
     /// Query about the first `requested` parameters.
