@@ -215,8 +215,8 @@ impl<'a> Stream<'a> {
         Some((self.change(next)?, score))
     }
 
-    /// Removes these changes of frames and radial scales from a corrected pose. `constant` are twists of the reference and
-    /// the tool.
+    /// Removes these changes of frames and radial scales from a corrected pose, [`TO_MIDDLE`] or [`TO_START`]. `constant`
+    /// are twists of the reference and the tool.
     fn steady_pose(
         &self,
         changes: &[(&Change, ColumnChange)],

@@ -47,7 +47,6 @@ impl Commands {
         let mut commands = Self::default();
         let mut latest = vec![f64::NAN; joints.dof];
         let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-        let mut positions = vec![0.0; columns.len()];
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
             for (&column, &value) in order.iter().zip(row).filter(|(_, value)| value.is_finite()) {
                 latest[column] = value;
@@ -56,11 +55,13 @@ impl Commands {
             if !is_complete && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
                 continue;
             }
-            for (positions, &column) in positions.iter_mut().zip(columns) {
-                *positions = if latest[column].is_finite() { latest[column] } else { at[column] };
-            }
+            let position = |&column: &usize| match latest[column].is_finite() {
+                true => latest[column],
+                false => at[column],
+            };
+            let q: Vec<f64> = columns.iter().map(position).collect();
             commands.series.t_s.push(t_s);
-            commands.series.poses.push(chain.forward(&positions));
+            commands.series.poses.push(chain.forward(&q));
             commands.joints.extend(&latest);
         }
         commands
@@ -360,7 +361,6 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
     const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);
-    let mut positions = vec![0.0; columns.len()];
     let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
     for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
         let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
@@ -368,10 +368,8 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
             continue;
         }
         let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
-        for (position, &column) in positions.iter_mut().zip(columns) {
-            *position = joints.row(row)[column];
-        }
-        let measured = chain.forward(&positions);
+        let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
+        let measured = chain.forward(&q);
         metres += (commanded.translation.vector - measured.translation.vector).norm_squared();
         radians += angle_between(&commanded.rotation, &measured.rotation).powi(2);
         count += 1.0;

@@ -30,16 +30,12 @@ impl PoseSeries {
         const PERIOD_S: f64 = 0.01;
         let period_s = median_period_s(&joints.t_s).max(1e-6);
         let step = ((PERIOD_S / period_s) as usize).max(1);
-        let mut q = vec![0.0; columns.len()];
-        let mut series = Self::default();
-        for row in (0..joints.len()).step_by(step) {
-            for (own, &column) in q.iter_mut().zip(columns) {
-                *own = joints.row(row)[column];
-            }
-            series.t_s.push(joints.t_s[row]);
-            series.poses.push(chain.forward(&q));
-        }
-        series
+        let sample = |row: usize| {
+            let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
+            (joints.t_s[row], chain.forward(&q))
+        };
+        let (t_s, poses) = (0..joints.len()).step_by(step).map(sample).unzip();
+        Self { t_s, poses }
     }
 
     /// Common time span, s; not positive if none.
