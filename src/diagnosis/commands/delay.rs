@@ -97,10 +97,8 @@ pub fn estimate_pose_delay(
 /// Whether over half of the path consists of jumps several times faster than the arm's top speed. The
 /// controller then plans its own profile, which hides the delay.
 fn advances_in_steps(
-    commanded_t_s: &[f64],
-    commanded: &[f64],
-    measured_t_s: &[f64],
-    measured: &[f64],
+    (commanded_t_s, commanded): (&[f64], &[f64]),
+    (measured_t_s, measured): (&[f64], &[f64]),
 ) -> bool {
     const MIN_STEP_SPEED_RATIO: f64 = 4.0;
     const MIN_STEP_PATH_SHARE: f64 = 0.5;
@@ -153,7 +151,7 @@ fn estimate_delay(
     if !is_streamed(&commanded.t_s) {
         return Err(DelayFailure::Goals);
     }
-    if advances_in_steps(&commanded.t_s, &paths[0], measured_t_s, &paths[1]) {
+    if advances_in_steps((&commanded.t_s, &paths[0]), (measured_t_s, &paths[1])) {
         return Err(DelayFailure::Steps);
     }
     let (Some(first), Some(last)) = (commanded.t_s.first(), commanded.t_s.last()) else {

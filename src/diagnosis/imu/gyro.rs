@@ -186,6 +186,7 @@ struct GyroModel<'a> {
     clock: Clock,
 }
 
+#[derive(Default)]
 struct IntegratedRotation {
     first_from_last: Rotation,
     /// Derivative, about axes at the last sample, by a constant rate change.
@@ -260,13 +261,9 @@ impl GyroModel<'_> {
         let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
         let rate = |k: usize| unscale * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
-        let mut integrated = IntegratedRotation {
-            first_from_last: Rotation::identity(),
-            by_rate: Matrix3::zeros(),
-            by_scale_error: [Vec3::zeros(); 7],
-            rates: [rate(first), rate(last)],
-            duration_s: track.t_s[last] - track.t_s[first],
-        };
+        let (rates, duration_s) = ([rate(first), rate(last)], track.t_s[last] - track.t_s[first]);
+        let mut integrated =
+            IntegratedRotation { rates, duration_s, ..IntegratedRotation::default() };
         for k in first..last {
             let dt = track.t_s[k + 1] - track.t_s[k];
             let omega = 0.5 * (rate(k) + rate(k + 1));

@@ -54,10 +54,11 @@ pub fn check_imu_residual(
     let delay = Delay { skew, ..link.delay(lag_s) };
     let moving = link.states(link.rows(), delay).filter(|(_, state)| state.moving);
     let link_states: Vec<(usize, LinkState)> = moving.collect();
+    let mut forces: Vec<f64> = stream.track.accel.iter().map(Vec3::norm).collect();
     (link_states.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
         orientation: orientation_residual(stream, diagnosis, &link_states),
         gyro: gyro_residual(&link, &link_states),
-        gravity_m_s2: mean_gravity(&stream.track.accel),
+        gravity_m_s2: median(&mut forces).filter(|size| *size > 0.0),
     })
 }
 
@@ -121,8 +122,4 @@ fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<Gyro
         by_fk: (square / pairs.len() as f64).sqrt(),
         noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
     })
-}
-
-fn mean_gravity(accel: &[Vec3]) -> Option<f64> {
-    median(&mut accel.iter().map(Vec3::norm).collect::<Vec<f64>>()).filter(|size| *size > 0.0)
 }
