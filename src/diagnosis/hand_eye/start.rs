@@ -90,13 +90,11 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     let turns = relative_rotations(pairs);
     let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < MAX_ROTATION_RAD);
     let largest = largest.fold(0.0, f64::max);
-    let usable: Vec<&(Vec3, Vec3)> = turns
-        .iter()
-        .filter(|(a, b)| {
-            let (a, b) = (a.norm(), b.norm());
-            a.min(b) > MIN_ROTATION_SHARE * largest && a.max(b) < MAX_ROTATION_RAD
-        })
-        .collect();
+    let is_usable = |(a, b): &&(Vec3, Vec3)| {
+        let (a, b) = (a.norm(), b.norm());
+        a.min(b) > MIN_ROTATION_SHARE * largest && a.max(b) < MAX_ROTATION_RAD
+    };
+    let usable: Vec<&(Vec3, Vec3)> = turns.iter().filter(is_usable).collect();
     let mut differences: Vec<f64> =
         usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
     let limit = 3.0 * median(&mut differences).unwrap_or(0.0) + 1e-9;

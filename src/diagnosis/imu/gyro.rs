@@ -158,11 +158,8 @@ impl Link<'_> {
             }
         }
         let mut buffers = self.buffers();
-        windows.retain(|window| {
-            [*window.start(), *window.end()]
-                .into_iter()
-                .all(|k| self.at(delay.truth_s(t_s[k]), &mut buffers).is_some())
-        });
+        let mut is_covered = |k: usize| self.at(delay.truth_s(t_s[k]), &mut buffers).is_some();
+        windows.retain(|window| is_covered(*window.start()) && is_covered(*window.end()));
         let stride = windows.len().div_ceil(MAX_WINDOWS).max(1);
         windows.into_iter().step_by(stride).collect()
     }

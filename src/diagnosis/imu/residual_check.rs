@@ -82,14 +82,12 @@ fn orientation_residual(
         Some(change) if t_s > change.at_s => change.link_from_imu,
         _ => link_from_imu,
     };
-    let worlds: Vec<Rotation> = link_states
-        .iter()
-        .map(|(row, state)| {
-            let link_from_imu = mount_at(track.t_s[*row]);
-            let world = track.orientation[*row] * (state.rotation * link_from_imu).inverse();
-            rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
-        })
-        .collect();
+    let world = |(row, state): &(usize, LinkState)| {
+        let link_from_imu = mount_at(track.t_s[*row]);
+        let world = track.orientation[*row] * (state.rotation * link_from_imu).inverse();
+        rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
+    };
+    let worlds: Vec<Rotation> = link_states.iter().map(world).collect();
     let mean = mean_rotation(&worlds);
     let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
     let angle: Vec<Vec3> = angle.collect();

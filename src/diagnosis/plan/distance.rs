@@ -79,9 +79,8 @@ impl Clearances {
         }
         if let Some(floor_m) = floor_m {
             let height = |at: usize| keep.height(&points, at) - floor_m;
-            keep.heights = (0..lengths.len())
-                .map(|at| clear_m.min(height(at) - CONTACT_TOLERANCE_M).max(0.0))
-                .collect();
+            let least = |at: usize| clear_m.min(height(at) - CONTACT_TOLERANCE_M).max(0.0);
+            keep.heights = (0..lengths.len()).map(least).collect();
         }
         keep
     }

@@ -85,13 +85,11 @@ impl TimeSeries {
         let times = &self.t_s;
         let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
-        let before = match (*cursor..*cursor + 3).find(|&at| is_before(at)) {
-            Some(before) => before,
-            None => {
-                let next = times.partition_point(|&t| t <= t_s);
-                next.checked_sub(1)?.min(times.len().checked_sub(2)?)
-            }
+        let search = || {
+            let next = times.partition_point(|&t| t <= t_s);
+            Some(next.checked_sub(1)?.min(times.len().checked_sub(2)?))
         };
+        let before = (*cursor..*cursor + 3).find(|&at| is_before(at)).or_else(search)?;
         *cursor = before;
         let (from_s, to_s) = (times[before], times[before + 1]);
         let length_s = to_s - from_s;
@@ -393,13 +391,12 @@ impl ResponseChanges {
             residuals[at] <= residual_at(at.checked_sub(1))
                 && residuals[at] < residual_at(Some(at + 1))
         };
-        let lows: Vec<(f64, f64)> = (0..residuals.len())
-            .filter(|&at| is_low(at))
-            .map(|at| {
-                let middle = tried(at as i64 - steps);
-                self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
-            })
-            .collect();
+        let refined = |at: usize| {
+            let middle = tried(at as i64 - steps);
+            self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
+        };
+        let lows = (0..residuals.len()).filter(|&at| is_low(at));
+        let lows: Vec<(f64, f64)> = lows.map(refined).collect();
         let Some(&(delay_s, min_residual)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
             return Err(NotObservable::DoesNotFollow(0.0));
         };

@@ -341,10 +341,8 @@ fn shape(
         (residual, other, gain)
     });
     let other = other_joints.min_by(|a, b| a.0.total_cmp(&b.0));
-    let response = signed(sign)
-        .estimate_response(curve, MAX_LAG_S)
-        .ok()
-        .map(|response| Response { gain: sign * response.gain, ..response });
+    let response = signed(sign).estimate_response(curve, MAX_LAG_S).ok();
+    let response = response.map(|found| Response { gain: sign * found.gain, ..found });
     let residual = response.map_or(1.0, |response| 1.0 - response.explained);
     if let Some((_, other, gain)) = other.filter(|it| it.0 <= allowed.min(0.2 * residual)) {
         return VelocityShape::OfJoint(other, gain);
