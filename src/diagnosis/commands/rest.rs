@@ -80,10 +80,7 @@ pub(super) fn constant_commands(
     /// Equal commands.
     const COMMAND_TOLERANCE_M_RAD: (f64, f64) = (5e-5, 5e-5);
     let PoseSeries { t_s, poses } = series;
-    let silent_s = match is_streamed {
-        true => (10.0 * median_period_s(t_s)).max(0.5),
-        false => f64::INFINITY,
-    };
+    let silent_s = if is_streamed { (10.0 * median_period_s(t_s)).max(0.5) } else { f64::INFINITY };
     let mut found = Vec::new();
     let mut first = 0;
     for row in 1..=t_s.len() {

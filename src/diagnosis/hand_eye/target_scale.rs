@@ -38,23 +38,22 @@ pub(super) fn estimate_scale_error(
     };
     let is_either = does(&of_size) && does(&of_depth);
     let is_size = does(&of_size) && (!does(&of_depth) || of_size.residual_m <= of_depth.residual_m);
-    let (chosen, has_size, has_depth) = match (is_size, does(&of_depth)) {
-        (true, _) => (of_size, true, false),
-        (false, true) => (of_depth, false, true),
-        (false, false) => (of_both, true, true),
+    let (chosen, factors): (PositionFit, &[usize]) = match (is_size, does(&of_depth)) {
+        (true, _) => (of_size, &[SIZE_COLUMN]),
+        (false, true) => (of_depth, &[DEPTH_COLUMN]),
+        (false, false) => (of_both, &[SIZE_COLUMN, DEPTH_COLUMN]),
     };
     if neither.residual_m < MIN_RESIDUAL_RATIO * chosen.residual_m {
         return None;
     }
     let sigma_m = chosen.residual_m / MEDIAN_NORMAL_LENGTH;
-    let factor = |column: usize, is_free: bool, fixed: f64| match is_free {
+    let factor = |column: usize, fixed: f64| match factors.contains(&column) {
         true => (chosen.values[column], sigma_m * chosen.inverse[(column, column)].max(0.0).sqrt()),
         false => (fixed, 0.0),
     };
-    let (all, all_error) = factor(SIZE_COLUMN, has_size, 1.0);
-    let (more, more_error) = factor(DEPTH_COLUMN, has_depth, 0.0);
-    let width = SIZE_COLUMN + usize::from(has_size) + usize::from(has_depth);
-    let dof = (3 * pairs.len()).saturating_sub(width).max(3) as f64;
+    let (all, all_error) = factor(SIZE_COLUMN, 1.0);
+    let (more, more_error) = factor(DEPTH_COLUMN, 0.0);
+    let dof = (3 * pairs.len()).saturating_sub(SIZE_COLUMN + factors.len()).max(3) as f64;
     let measured = |value: f64, std_error: f64| Measured { value, std_error, dof };
     let size = measured(1.0 / all, all_error / (all * all));
     let depth = measured(all / (all + more), more_error * all / (all + more).powi(2));
@@ -63,8 +62,8 @@ pub(super) fn estimate_scale_error(
             && one.value > 0.0
             && (one.value - 1.0).abs() > (MIN_STD_ERRORS * one.std_error).max(MIN_DEVIATION)
     };
-    let size = Some(size).filter(|one| has_size && is_precise(one));
-    let depth = Some(depth).filter(|one| has_depth && is_precise(one));
+    // A fixed factor is exactly 1, so it is not precise.
+    let (size, depth) = (Some(size).filter(is_precise), Some(depth).filter(is_precise));
     let is_any = size.is_some() || depth.is_some();
     is_any.then_some(TargetScaleError { size, depth, along, is_either })
 }

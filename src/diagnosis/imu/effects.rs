@@ -348,11 +348,9 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
             })),
         }
     }
-    let likelier = |best: (f64, Addition), next: (f64, Addition)| match next.0 > best.0 {
-        true => next,
-        false => best,
-    };
-    let (_, addition) = found.into_iter().filter(|one| one.0 > 0.0).reduce(likelier)?;
+    // The first of equally likely ones.
+    let likely = found.into_iter().rev().filter(|one| one.0 > 0.0);
+    let (_, addition) = likely.max_by(|a, b| a.0.total_cmp(&b.0))?;
     let mut push = |block: Block, profile: Profile| {
         extended.effects().push(block, profile, model.columns_of(block).len());
     };
