@@ -282,9 +282,7 @@ mod tests {
                 let turn = rotation_from_rotvec(turn.into());
                 (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
             };
-            let (xyz, rotations) = joints.q.chunks(6).enumerate().map(noisy).unzip();
-            let orientation = Orientations::Rotations(rotations);
-            PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
+            test_motion::pose_track(&joints.t_s, joints.q.chunks(6).enumerate().map(noisy))
         };
         let controller = track(&|_, q| deviating.forward(q));
         let tracker = track(&|row, q| {
@@ -403,16 +401,12 @@ mod tests {
                 let slip_m = if is_changed { SLIP_M } else { 0.0 };
                 let slipped = pose.translation.vector + pose.rotation * Vec3::new(0.0, slip_m, 0.0);
                 let turn = rotation_from_rotvec(random.triple(1e-4).into());
-                (t_s, slipped + Vec3::from(random.triple(1e-4)), turn * pose.rotation)
+                (t_s, (slipped + Vec3::from(random.triple(1e-4)), turn * pose.rotation))
             })
         };
-        let rows: Vec<_> = joints.t_s.iter().filter_map(|t_s| pose_at(*t_s)).collect();
-        let track = PoseTrack {
-            t_s: rows.iter().map(|row| row.0).collect(),
-            xyz: rows.iter().map(|row| row.1).collect(),
-            orientation: Orientations::Rotations(rows.iter().map(|row| row.2).collect()),
-            declared: None,
-        };
+        let rows = joints.t_s.iter().filter_map(|t_s| pose_at(*t_s));
+        let (t_s, poses): (Vec<f64>, Vec<_>) = rows.unzip();
+        let track = test_motion::pose_track(&t_s, poses);
         let stream =
             PoseStream { reference_known: false, ..test_motion::tip_stream(&track, &chain) };
         let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
@@ -443,9 +437,7 @@ mod tests {
             let misread = Convention::RPY.rotation(Convention::RotVec.numbers(&pose.rotation));
             (pose.translation.vector + Vec3::from(random.triple(2e-5)), misread)
         });
-        let (xyz, rotations) = poses.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = test_motion::pose_track(&joints.t_s, poses);
         let streams = [test_motion::tip_stream(&track, &chain)];
         let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
         let encoding = found.streams[0].encoding.as_ref().expect("an encoding");
@@ -462,9 +454,7 @@ mod tests {
             let noise = rotation_from_rotvec(random.triple(2e-5).into());
             (chain.forward(q).translation.vector + Vec3::from(random.triple(2e-5)), noise)
         });
-        let (xyz, rotations) = poses.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = test_motion::pose_track(&joints.t_s, poses);
         let streams = [test_motion::tip_stream(&track, &chain)];
         let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
         let stream = &found.streams[0];
@@ -480,16 +470,11 @@ mod tests {
         joints.qd.fill(0.0);
         let mut random = Lcg::new();
         let tip = chain.forward(&first);
-        let rotations = joints
-            .t_s
-            .iter()
-            .map(|_| tip.rotation * rotation_from_rotvec(random.triple(2e-5).into()));
-        let track = PoseTrack {
-            xyz: vec![tip.translation.vector; joints.len()],
-            orientation: Orientations::Rotations(rotations.collect()),
-            t_s: joints.t_s.clone(),
-            declared: None,
-        };
+        let poses = joints.t_s.iter().map(|_| {
+            let noise = rotation_from_rotvec(random.triple(2e-5).into());
+            (tip.translation.vector, tip.rotation * noise)
+        });
+        let track = test_motion::pose_track(&joints.t_s, poses);
         let streams = [test_motion::tip_stream(&track, &chain)];
         let found = diagnose_run(&joints, &streams, &[false; 6], 1.0);
         assert!(!matches!(found.streams[0].encoding, Err(NotObservable::OrientationNotSet)));

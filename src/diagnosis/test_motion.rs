@@ -2,9 +2,9 @@
 
 use crate::PoseStream;
 use crate::test_random::Lcg;
-use ground::geometry::{Pose, pose, rotation_from_rotvec};
+use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
-use ground::stream::{JointTrack, PoseTrack};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// 20 s of a UR5e with swinging joints, and its chain `base` to `tool0`.
 pub fn arm() -> (JointTrack, Chain) {
@@ -22,6 +22,13 @@ pub fn arm() -> (JointTrack, Chain) {
         }
     }
     (joints, chain)
+}
+
+/// Positions, m, and rotations at these stamps.
+pub fn pose_track(t_s: &[f64], poses: impl IntoIterator<Item = (Vec3, Rotation)>) -> PoseTrack {
+    let (xyz, rotations) = poses.into_iter().unzip();
+    let orientation = Orientations::Rotations(rotations);
+    PoseTrack { t_s: t_s.to_vec(), xyz, orientation, declared: None }
 }
 
 /// Stream of the tip of [`arm`].

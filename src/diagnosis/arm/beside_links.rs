@@ -125,10 +125,9 @@ fn of_tool(observations: &PoseObservations, of_link: &Matrix6<f64>) -> Matrix6<f
 #[cfg(test)]
 mod tests {
     use crate::diagnose_arm;
-    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
 
     #[test]
     fn frames_are_as_inaccurate_as_the_links() {
@@ -144,9 +143,7 @@ mod tests {
                     let pose = deviating.forward(q) * tool;
                     (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
                 };
-                let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
-                let orientation = Orientations::Rotations(rotations);
-                let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+                let track = pose_track(&joints.t_s, joints.q.chunks(6).map(noisy));
                 let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
                 let found = found.streams[0].tool.as_ref().expect("a tool");
                 let off = Pose::inv_mul(&found.pose, &tool).translation.vector.norm();

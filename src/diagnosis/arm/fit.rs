@@ -552,11 +552,10 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
 
 #[cfg(test)]
 mod tests {
-    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, Measured, diagnose_arm};
     use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Diagnosis of a deviating arm that moves by a few degrees, with an elbow zero and a tool.
     fn diagnosed(link_m: f64, zero_rad: f64, tool: &Pose) -> ArmDiagnosis {
@@ -576,9 +575,7 @@ mod tests {
             let pose = deviating.forward(&q) * tool;
             (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
         });
-        let (xyz, rotations) = poses.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = pose_track(&joints.t_s, poses);
         diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0)
     }
 

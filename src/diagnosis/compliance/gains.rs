@@ -129,7 +129,6 @@ mod tests {
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, diagnose_run};
     use ground::geometry::{Vec3, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Diagnosis of poses of the arm where the joints actually are, with link deviations of 0.1 mm.
     fn diagnosed(
@@ -145,10 +144,8 @@ mod tests {
             let turn = rotation_from_rotvec(turn.into());
             (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
         };
-        let (xyz, rotations) = joints.q.chunks(6).map(noisy).unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let t_s = joints.t_s.iter().map(|t_s| t_s + late_by(*t_s)).collect();
-        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        let t_s: Vec<f64> = joints.t_s.iter().map(|t_s| t_s + late_by(*t_s)).collect();
+        let track = test_motion::pose_track(&t_s, joints.q.chunks(6).map(noisy));
         diagnose_run(&joints, &[test_motion::tip_stream(&track, &chain)], &[false; 6], 1.0)
     }
 

@@ -364,7 +364,7 @@ fn sample_rows(rows: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_motion::arm;
+    use crate::test_motion::{arm, pose_track, tip_stream};
     use crate::{MovingFrame, diagnose_run};
     use ground::geometry::rotation_from_rpy;
     use ground::stream::PoseTrack;
@@ -381,7 +381,7 @@ mod tests {
         latency_s: impl Fn(f64) -> f64,
         frame: impl Fn(f64) -> Pose,
     ) -> PoseTrack {
-        let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut poses, mut t_s) = (Vec::new(), Vec::new());
         let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
@@ -389,25 +389,13 @@ mod tests {
             assert!(joints.at(truth_s, &mut 0, &mut q, &mut qd));
             let pose = frame(truth_s) * chain.forward(&q);
             t_s.push(stamp);
-            xyz.push(pose.translation.vector);
-            rotations.push(pose.rotation);
+            poses.push((pose.translation.vector, pose.rotation));
         }
-        PoseTrack { t_s, xyz, orientation: Orientations::Rotations(rotations), declared: None }
+        pose_track(&t_s, poses)
     }
 
     fn stream<'a>(track: &'a PoseTrack, chain: &'a ground::robot::Chain) -> PoseStream<'a> {
-        const COLUMNS: [usize; 6] = [0, 1, 2, 3, 4, 5];
-        PoseStream {
-            track,
-            chain,
-            columns: &COLUMNS,
-            reference_known: false,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-            last_turn: crate::LastTurn::Unknown,
-            moving_frame: None,
-        }
+        PoseStream { reference_known: false, ..tip_stream(track, chain) }
     }
 
     /// Odometry with this latency, and the poses in it transformed to the base at their stamps.
@@ -521,23 +509,16 @@ mod tests {
         }
         let world = Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]));
         let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
-        let mut track = PoseTrack {
-            t_s: Vec::new(),
-            xyz: Vec::new(),
-            orientation: Orientations::Rotations(Vec::new()),
-            declared: None,
-        };
+        let (mut poses, mut t_s) = (Vec::new(), Vec::new());
         let (mut q, mut qd) = ([0.0; 3], [0.0; 3]);
-        let mut rotations = Vec::new();
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
             assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
             let pose = world * chain.forward(&q) * body;
-            track.t_s.push(stamp);
-            track.xyz.push(pose.translation.vector);
-            rotations.push(pose.rotation);
+            t_s.push(stamp);
+            poses.push((pose.translation.vector, pose.rotation));
         }
-        track.orientation = Orientations::Rotations(rotations);
+        let track = pose_track(&t_s, poses);
         let stream = PoseStream { columns: &[0, 1, 2], ..stream(&track, &chain) };
         assert_eq!(detect_base_motion(&joints, &stream, 5.0), None);
     }

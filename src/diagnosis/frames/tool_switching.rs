@@ -354,9 +354,8 @@ impl BodyAssignment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_motion::arm;
+    use crate::test_motion::{arm, pose_track, tip_stream};
     use ground::geometry::{angle_between, rotation_from_rpy};
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Tracker poses with another body at some times, in a possibly moving world.
     fn found(
@@ -373,25 +372,11 @@ mod tests {
             let pose = world(stamp) * chain.forward(&q) * body;
             t_s.push(stamp);
             usual.push(pose);
-            logged.push(pose * other(stamp).unwrap_or_default());
+            let pose = pose * other(stamp).unwrap_or_default();
+            logged.push((pose.translation.vector, pose.rotation));
         }
-        let track = PoseTrack {
-            t_s,
-            xyz: logged.iter().map(|pose| pose.translation.vector).collect(),
-            orientation: Orientations::Rotations(logged.iter().map(|pose| pose.rotation).collect()),
-            declared: None,
-        };
-        let stream = PoseStream {
-            track: &track,
-            chain: &chain,
-            columns: &[0, 1, 2, 3, 4, 5],
-            reference_known: false,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-            last_turn: crate::LastTurn::Unknown,
-            moving_frame: None,
-        };
+        let track = pose_track(&t_s, logged);
+        let stream = PoseStream { reference_known: false, ..tip_stream(&track, &chain) };
         let (alternation, corrected) = detect_tool_switching(&joints, &stream)?;
         Some((alternation, corrected, usual))
     }
@@ -438,11 +423,9 @@ mod tests {
         let (joints, chain) = arm();
         let limits = [1.0, 1e-3].map(|unit_m: f64| {
             let poses: Vec<Pose> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
-            let xyz = poses.iter().map(|pose| pose.translation.vector / unit_m).collect();
-            let rotations = poses.iter().map(|pose| pose.rotation).collect();
-            let orientation = Orientations::Rotations(rotations);
-            let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
-            let stream = crate::test_motion::tip_stream(&track, &chain);
+            let logged = poses.iter().map(|pose| (pose.translation.vector / unit_m, pose.rotation));
+            let track = pose_track(&joints.t_s, logged);
+            let stream = tip_stream(&track, &chain);
             let period_s = median_period_s(&joints.t_s);
             step_limits(&joints, &stream, period_s, &pose_steps(&joints.t_s, period_s, &poses))
                 .expect("the arm moves")

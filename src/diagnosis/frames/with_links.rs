@@ -74,10 +74,9 @@ pub(crate) fn frames_with_links(
 #[cfg(test)]
 mod tests {
     use crate::diagnose_arm;
-    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
 
     #[test]
     fn frames_of_an_arm_that_deviates_are_inside_their_intervals() {
@@ -93,9 +92,7 @@ mod tests {
             let noisy = |pose: Pose| {
                 (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
             };
-            let (xyz, rotations) = poses.map(noisy).unzip();
-            let orientation = Orientations::Rotations(rotations);
-            let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+            let track = pose_track(&joints.t_s, poses.map(noisy));
             let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
             let stream = &found.streams[0];
             assert!(stream.is_nominal);

@@ -217,17 +217,7 @@ mod tests {
                 orientation: Orientations::Unset(t_s.len()),
                 declared: None,
             };
-            let stream = PoseStream {
-                track: &track,
-                chain: &chain,
-                columns: &[0, 1, 2, 3, 4, 5],
-                reference_known: true,
-                stamp_error_s: 0.0,
-                stamps_copied: false,
-                removed_ramp: None,
-                last_turn: crate::LastTurn::Unknown,
-                moving_frame: None,
-            };
+            let stream = crate::test_motion::tip_stream(&track, &chain);
             let fit = |own: &[usize]| TwoLatencies::fit(&joints, &stream, (1.0, 0.0), own);
             let (two, one) = (fit(&[3, 4, 5]).expect("a fit"), fit(&[]).expect("a fit"));
             assert!((two.between.value - late_s).abs() < 2e-4, "{:?}", two.between);

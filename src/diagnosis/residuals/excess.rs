@@ -168,7 +168,6 @@ mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
     use ground::geometry::{pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -216,9 +215,7 @@ mod tests {
             let pose = chain.forward(q) * marker;
             (pose.translation.vector + shift, rotation_from_rotvec(turn) * pose.rotation)
         });
-        let (xyz, rotations) = logged.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = test_motion::pose_track(&joints.t_s, logged);
         let found = diagnose_arm(&joints, &[test_motion::tip_stream(&track, &chain)], 1.0);
         let residual = found.streams[0].residual.as_ref().expect("a residual");
         assert!(residual.rms_m < 3e-4 && residual.rms_rad > 5e-3, "{residual:?}");

@@ -111,22 +111,16 @@ mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
     use ground::geometry::Vec3;
-    use ground::stream::{Orientations, PoseTrack};
 
     #[test]
     fn a_smaller_residual_is_likelier_and_a_parameter_has_its_price() {
         let (joints, chain) = test_motion::arm();
         let mut random = Lcg::new();
-        let poses: Vec<_> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
-        let noisy = |pose: &ground::geometry::Pose| {
-            pose.translation.vector + Vec3::from(random.triple(1e-3))
+        let noisy = |q: &[f64]| {
+            let pose = chain.forward(q);
+            (pose.translation.vector + Vec3::from(random.triple(1e-3)), pose.rotation)
         };
-        let track = PoseTrack {
-            t_s: joints.t_s.clone(),
-            xyz: poses.iter().map(noisy).collect(),
-            orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
-            declared: None,
-        };
+        let track = test_motion::pose_track(&joints.t_s, joints.q.chunks(6).map(noisy));
         let stream = test_motion::tip_stream(&track, &chain);
         let healthy = diagnose_arm(&joints, &[stream], 1.0);
         let mut off = healthy.clone();

@@ -151,9 +151,8 @@ fn mean_square(residual: &[[f64; 3]]) -> f64 {
 #[cfg(test)]
 mod tests {
     use crate::diagnose_arm;
-    use crate::test_motion::{arm, tip_stream};
+    use crate::test_motion::{arm, pose_track, tip_stream};
     use ground::geometry::Vec3;
-    use ground::stream::{Orientations, PoseTrack};
     use rand::{RngExt, SeedableRng};
 
     #[test]
@@ -161,7 +160,7 @@ mod tests {
         const NOISE_M: f64 = 1e-4;
         let (joints, chain) = arm();
         let mut random = rand_pcg::Pcg64::seed_from_u64(11);
-        let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut poses, mut t_s) = (Vec::new(), Vec::new());
         let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
@@ -170,11 +169,10 @@ mod tests {
             let pose = chain.forward(&q);
             let mut noise = || random.random_range(-NOISE_M..NOISE_M);
             t_s.push(stamp);
-            xyz.push(pose.translation.vector + Vec3::new(noise(), noise(), noise()));
-            rotations.push(pose.rotation);
+            let position = pose.translation.vector + Vec3::new(noise(), noise(), noise());
+            poses.push((position, pose.rotation));
         }
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        let track = pose_track(&t_s, poses);
         let stream = tip_stream(&track, &chain);
         let found = diagnose_arm(&joints, &[stream], 5.0);
         let zeros: Vec<bool> =

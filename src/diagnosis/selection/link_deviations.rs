@@ -764,26 +764,20 @@ fn parameters(
 #[cfg(test)]
 mod tests {
     use crate::diagnose_arm;
-    use crate::test_motion::{arm, chain_with, deviating_chain, tip_stream};
+    use crate::test_motion::{arm, chain_with, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use ground::geometry::{Pose, Rotation, Vec3};
     use ground::robot::Chain;
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Joints and length, mm, of the link that is displaced most, of an arm that moves like `of`.
     fn largest_displacement(of: &Chain) -> Option<([usize; 2], f64)> {
         let (joints, chain) = arm();
         let mut random = Lcg::new();
-        let (xyz, rotations) = joints
-            .q
-            .chunks(6)
-            .map(|q| {
-                let pose = of.forward(q);
-                (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
-            })
-            .unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let noisy = |q: &[f64]| {
+            let pose = of.forward(q);
+            (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+        };
+        let track = pose_track(&joints.t_s, joints.q.chunks(6).map(noisy));
         let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
         assert!(found.streams[0].is_nominal);
         let link = found.streams[0].largest_displacement?;
