@@ -18,21 +18,15 @@ pub(super) fn align(
     let observations = &decoded.observations;
     let stream_state = &model.state.streams[index];
     let correction = stream_state.frame_correction();
-    let recorded_state = StreamState::at_latency(0.0);
+    let recorded_state = StreamState::default();
     let as_recorded = PoseObservations {
         joints: recorded,
-        chain: observations.chain,
-        columns: observations.columns,
         gains: &[],
-        reference_known: observations.reference_known,
-        rest_speeds: observations.rest_speeds,
         t_s: observations.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
-        excluded: observations.excluded,
-        tool_part: observations.tool_part,
-        middle_s: observations.middle_s,
         moving_frame: None,
+        ..*observations
     };
     let zero = vec![0.0; recorded.dof];
     let (mut sweep, mut truth_sweep) =
@@ -40,7 +34,7 @@ pub(super) fn align(
     let truth_state = StreamState {
         latency_s: stream_state.latency_s,
         skew: stream_state.skew,
-        ..StreamState::at_latency(0.0)
+        ..StreamState::default()
     };
     let mut aligned = AlignedSamples::default();
     let mut source = 0;
@@ -88,12 +82,8 @@ pub(super) fn fk_at_latency(
     let StreamState { latency_s, skew, .. } = model.state.streams[index];
     let state = StreamState { skew, ..StreamState::at_latency(latency_s) };
     let t_s = aligned.t_s.iter().map(|t_s| t_s - late_s(*t_s)).collect();
-    let observations = PoseObservations {
-        t_s,
-        xyz: Vec::new(),
-        rotation: Vec::new(),
-        ..decoded.observations.clone()
-    };
+    let observations =
+        PoseObservations { t_s, xyz: Vec::new(), rotation: Vec::new(), ..decoded.observations };
     let mut sweep = PredictionBuffers::new(&observations);
     (0..aligned.t_s.len())
         .map(|row| observations.pose_at(row, &state, &model.state.offsets, &mut sweep))

@@ -6,7 +6,7 @@
 use super::jacobian::{Derivative, PoseJacobian};
 use super::moving_frame::MovingFrame;
 use crate::FrameCorrection;
-use crate::solver::linear::{Linear, Rows};
+use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stream::JointTrack;
@@ -19,10 +19,6 @@ pub(crate) const RADIAL_SCALE_COLUMN: usize = 2;
 pub(crate) const REFERENCE_COLUMNS_START: usize = 3;
 pub(crate) const TOOL_COLUMNS_START: usize = 9;
 pub(crate) const STREAM_WIDTH: usize = 15;
-
-/// Residual kinds, in row order.
-const POSITION: usize = 0;
-const ROTATION: usize = 1;
 
 /// Lower bounds of standard deviations.
 pub(crate) const FLOOR_M: f64 = 1e-6;
@@ -45,12 +41,12 @@ pub(crate) struct ExcludedComponents {
 }
 
 impl ExcludedComponents {
-    /// Sets excluded coordinates to zero.
-    pub fn mask_position(&self, mut vector: [f64; 3]) -> [f64; 3] {
-        for (part, blind) in vector.iter_mut().zip(self.position) {
+    /// Position and rotation with excluded components set to zero.
+    pub fn mask(&self, [mut position, rotation]: Derivative) -> [[f64; 3]; 2] {
+        for (part, blind) in position.iter_mut().zip(self.position) {
             *part *= f64::from(u8::from(!blind));
         }
-        vector
+        [position.into(), if self.rotation { [0.0; 3] } else { rotation.into() }]
     }
 
     /// Copies excluded components from `expected`.
@@ -61,11 +57,6 @@ impl ExcludedComponents {
         if self.rotation {
             pose.rotation = expected.rotation;
         }
-    }
-
-    /// Sets excluded rotations to zero.
-    pub fn mask_rotation(&self, vector: [f64; 3]) -> [f64; 3] {
-        if self.rotation { [0.0; 3] } else { vector }
     }
 }
 
@@ -93,9 +84,10 @@ pub(crate) struct PoseObservations<'a> {
 }
 
 /// Components of a tool that a log can determine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum ToolPart {
     /// Translation and rotation.
+    #[default]
     Whole,
     /// Translation only, without orientations.
     Point,
@@ -111,7 +103,7 @@ impl ToolPart {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct StreamState {
     pub latency_s: f64,
     pub skew: f64,
@@ -127,16 +119,7 @@ pub(crate) struct StreamState {
 
 impl StreamState {
     pub fn at_latency(latency_s: f64) -> Self {
-        Self {
-            latency_s,
-            skew: 0.0,
-            radial_scale: 0.0,
-            reference: Pose::identity(),
-            tool: Pose::identity(),
-            round_reference: None,
-            round_tool: None,
-            tool_part: ToolPart::Whole,
-        }
+        Self { latency_s, ..Self::default() }
     }
 
     /// Pose correction by these parameters.
@@ -406,7 +389,12 @@ impl PoseObservations<'_> {
         let (mut along, mut steep) = (0.0, f64::MIN_POSITIVE);
         for k in (0..self.len()).step_by(self.len().div_ceil(most).max(1)) {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else { continue };
-            let by_latency = self.by_latency(&predicted, &sweep, stream);
+            // At rest, the latency has no effect.
+            let velocity = match predicted.moving {
+                true => predicted.jacobian(&sweep.jacobian, stream).velocity(&sweep.qd),
+                false => [Vec3::zeros(); 2],
+            };
+            let by_latency = self.excluded.mask(velocity.map(|part| -part));
             for (slope, residual) in by_latency.iter().zip(self.residual(k, &predicted.pose)) {
                 for (slope, residual) in slope.iter().zip(residual) {
                     square += residual * residual;
@@ -417,21 +405,6 @@ impl PoseObservations<'_> {
             samples += 1;
         }
         ((square / f64::from(samples.max(1))).sqrt(), along / steep)
-    }
-
-    /// Derivative of position and rotation by the latency; zero at rest.
-    fn by_latency(
-        &self,
-        predicted: &Predicted,
-        sweep: &PredictionBuffers,
-        stream: &StreamState,
-    ) -> [[f64; 3]; 2] {
-        if !predicted.moving {
-            return [[0.0; 3]; 2];
-        }
-        let velocity = predicted.jacobian(&sweep.jacobian, stream).velocity(&sweep.qd);
-        let [linear, angular] = velocity.map(|part| -part);
-        [self.excluded.mask_position(linear.into()), self.excluded.mask_rotation(angular.into())]
     }
 
     /// `reference_from_tip · tool`. `None` if joint states do not cover `k`.
@@ -449,7 +422,7 @@ impl PoseObservations<'_> {
     pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
-        [self.excluded.mask_position(position.into()), self.excluded.mask_rotation(rotation.into())]
+        self.excluded.mask([position, rotation])
     }
 
     /// Linearises every `stride`-th sample that joint states cover.
@@ -464,43 +437,30 @@ impl PoseObservations<'_> {
                 continue;
             };
             let mut rows = linear.push(&self.residual(k, &predicted.pose));
+            let mut set = |column: usize, derivative: Derivative| {
+                rows.set_all(column, self.excluded.mask(derivative));
+            };
             let jacobian = predicted.jacobian(&sweep.jacobian, stream);
-            self.fill(k, &predicted, &jacobian, &sweep, joints, &mut rows);
-        }
-        linear
-    }
-
-    fn fill(
-        &self,
-        k: usize,
-        predicted: &Predicted,
-        jacobian: &PoseJacobian,
-        sweep: &PredictionBuffers,
-        joints: usize,
-        rows: &mut Rows,
-    ) {
-        let mut set = |column: usize, [linear, angular]: Derivative| {
-            rows.set(POSITION, column, self.excluded.mask_position(linear.into()));
-            rows.set(ROTATION, column, self.excluded.mask_rotation(angular.into()));
-        };
-        let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
-        for (i, &column) in self.columns.iter().enumerate() {
-            let derivative = jacobian.joint(i);
-            set(column, derivative);
-            for (gain, by) in self.gains_of(column).filter(|(gain, _)| *gain < joints) {
-                set(gain, scaled(derivative, sweep.track_q[by]));
+            let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
+            for (i, &column) in self.columns.iter().enumerate() {
+                let derivative = jacobian.joint(i);
+                set(column, derivative);
+                for (gain, by) in self.gains_of(column).filter(|(gain, _)| *gain < joints) {
+                    set(gain, scaled(derivative, sweep.track_q[by]));
+                }
+            }
+            if predicted.moving {
+                let by_latency = scaled(jacobian.velocity(&sweep.qd), -1.0);
+                set(joints + LATENCY_COLUMN, by_latency);
+                set(joints + SKEW_COLUMN, scaled(by_latency, self.t_s[k] - self.middle_s));
+            }
+            let outward = jacobian.reference * predicted.in_base.translation.vector;
+            set(joints + RADIAL_SCALE_COLUMN, [outward, Vec3::zeros()]);
+            for axis in 0..6 {
+                set(joints + REFERENCE_COLUMNS_START + axis, jacobian.reference(axis));
+                set(joints + TOOL_COLUMNS_START + axis, jacobian.tool(axis));
             }
         }
-        if predicted.moving {
-            let by_latency = scaled(jacobian.velocity(&sweep.qd), -1.0);
-            set(joints + LATENCY_COLUMN, by_latency);
-            set(joints + SKEW_COLUMN, scaled(by_latency, self.t_s[k] - self.middle_s));
-        }
-        let outward = jacobian.reference * predicted.in_base.translation.vector;
-        set(joints + RADIAL_SCALE_COLUMN, [outward, Vec3::zeros()]);
-        for axis in 0..6 {
-            set(joints + REFERENCE_COLUMNS_START + axis, jacobian.reference(axis));
-            set(joints + TOOL_COLUMNS_START + axis, jacobian.tool(axis));
-        }
+        linear
     }
 }

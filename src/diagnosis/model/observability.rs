@@ -228,18 +228,13 @@ fn achievable_information(
     let joints = JointTrack { t_s: t_s.clone(), dof, q, qd, noise: Vec::new() };
     let ideal = PoseObservations {
         joints: &joints,
-        chain: observations.chain,
-        columns: observations.columns,
-        gains: observations.gains,
-        reference_known: observations.reference_known,
         rest_speeds: &vec![0.0; dof],
         xyz: vec![Vec3::zeros(); CONFIGURATIONS],
         rotation: vec![Rotation::identity(); CONFIGURATIONS],
-        excluded: observations.excluded,
-        tool_part: observations.tool_part,
         middle_s: 0.5 * t_s[CONFIGURATIONS - 1],
         moving_frame: None,
         t_s,
+        ..*observations
     };
     // Without latency, stamps match the configurations.
     let at_postures = StreamState { latency_s: 0.0, skew: 0.0, ..state.clone() };

@@ -243,8 +243,7 @@ impl<'a> CauseColumns<'a> {
                 _ => late.map(|late| late * part),
             });
             let mut set = |column: usize, [linear, angular]: Derivative| {
-                rows.set(0, column, linear.into());
-                rows.set(1, column, mask(angular).into());
+                rows.set_all(column, [linear.into(), mask(angular).into()]);
             };
             derivatives.iter().enumerate().for_each(|(column, own)| set(column, *own));
             if self.links > 0 {

@@ -340,9 +340,8 @@ pub(crate) fn link_frames(
         };
         observations.chain.joint_frames(q, &mut links);
         let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
-        let mut set = |column: usize, [linear, angular]: Derivative| {
-            rows.set(0, column, blind.mask_position(linear.into()));
-            rows.set(1, column, blind.mask_rotation(angular.into()));
+        let mut set = |column: usize, derivative: Derivative| {
+            rows.set_all(column, blind.mask(derivative));
         };
         let tip = jacobian.pose.translation.vector;
         let frames = links.iter().map(|link| stream_state.reference * link);

@@ -73,6 +73,11 @@ impl Rows<'_> {
             self.values[(kind * 3 + axis) * self.width + column] = value;
         }
     }
+
+    /// The same for every kind.
+    pub fn set_all<const N: usize>(&mut self, column: usize, derivatives: [[f64; 3]; N]) {
+        derivatives.into_iter().enumerate().for_each(|(kind, own)| self.set(kind, column, own));
+    }
 }
 
 #[derive(Clone)]
