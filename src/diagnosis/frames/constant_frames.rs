@@ -91,9 +91,8 @@ fn pose_pairs(
     offsets: &[f64],
 ) -> (Vec<Pose>, Vec<Pose>) {
     let mut sweep = PredictionBuffers::new(observations);
-    let step = observations.len().div_ceil(INITIAL_GUESS_SAMPLES).max(1);
-    (0..observations.len())
-        .step_by(step)
+    observations
+        .rows(INITIAL_GUESS_SAMPLES)
         .filter_map(|k| {
             let fk = observations.pose_at(k, state, offsets, &mut sweep)?;
             Some((fk, pose(observations.xyz[k].into(), observations.rotation[k])))

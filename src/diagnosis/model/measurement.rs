@@ -285,6 +285,11 @@ impl PoseObservations<'_> {
         self.t_s.len()
     }
 
+    /// Rows of up to `most` evenly chosen samples.
+    pub fn rows(&self, most: usize) -> impl ExactSizeIterator<Item = usize> + use<> {
+        (0..self.len()).step_by(self.len().div_ceil(most).max(1))
+    }
+
     /// The same poses with other stamps.
     pub fn with_stamps(&self, stamp: impl Fn(f64) -> f64) -> Self {
         let mut restamped = self.clone();
@@ -369,8 +374,7 @@ impl PoseObservations<'_> {
     pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
         let mut sweep = PredictionBuffers::new(self);
-        (0..self.len())
-            .step_by(self.len().div_ceil(most).max(1))
+        self.rows(most)
             .filter_map(|k| self.predict(k, &state, &offsets, &mut sweep))
             .filter(|predicted| predicted.moving)
             .count()
@@ -387,7 +391,7 @@ impl PoseObservations<'_> {
         let mut sweep = PredictionBuffers::new(self);
         let (mut samples, mut square) = (0, 0.0);
         let (mut along, mut steep) = (0.0, f64::MIN_POSITIVE);
-        for k in (0..self.len()).step_by(self.len().div_ceil(most).max(1)) {
+        for k in self.rows(most) {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else { continue };
             // At rest, the latency has no effect.
             let velocity = match predicted.moving {
@@ -425,12 +429,12 @@ impl PoseObservations<'_> {
         self.excluded.mask([position, rotation])
     }
 
-    /// Linearises every `stride`-th sample that joint states cover.
-    pub fn linearize(&self, stream: &StreamState, offsets: &[f64], stride: usize) -> Linear {
+    /// Linearises up to `most` samples that joint states cover.
+    pub fn linearize(&self, stream: &StreamState, offsets: &[f64], most: usize) -> Linear {
         let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
         let mut sweep = PredictionBuffers::new(self);
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-        let rows = (0..self.len()).step_by(stride.max(1));
+        let rows = self.rows(most);
         linear.reserve(rows.len());
         for k in rows {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {

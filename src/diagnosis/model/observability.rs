@@ -238,6 +238,6 @@ fn achievable_information(
     };
     // Without latency, stamps match the configurations.
     let at_postures = StreamState { latency_s: 0.0, skew: 0.0, ..state.clone() };
-    let linear = ideal.linearize(&at_postures, offsets, 1);
+    let linear = ideal.linearize(&at_postures, offsets, CONFIGURATIONS);
     linear.information(&linear.even_weights())
 }

@@ -100,8 +100,7 @@ fn fold_correlation(
     stream: &StreamState,
     offsets: &[f64],
 ) -> [Measured; 2] {
-    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let rows: Vec<usize> = (0..observations.len()).step_by(stride).collect();
+    let rows: Vec<usize> = observations.rows(MAX_SAMPLES).collect();
     let folds: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(FOLDS).max(1))
         .map(|rows| {

@@ -198,14 +198,14 @@ fn residual_with_calibration(
         skew: skew.map_or(0.0, |skew| skew.value),
         ..StreamState::at_latency(diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
-    let stride = t_s.len().div_ceil(MAX_CALIBRATION_SAMPLES);
     let (mut sweep, none) =
         (PredictionBuffers::new(&observations), vec![0.0; corrected_joints.dof]);
-    let rows: Vec<usize> = (0..t_s.len())
-        .step_by(stride)
+    let rows: Vec<usize> = observations
+        .rows(MAX_CALIBRATION_SAMPLES)
         .filter(|&row| observations.pose_at(row, &plain, &none, &mut sweep).is_some())
         .collect();
-    let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, stride);
+    let most = MAX_CALIBRATION_SAMPLES;
+    let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, most);
     let [length, angle] = kinds.try_into().ok()?;
     let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
     let (length, angle) = (vectors(length), vectors(angle));

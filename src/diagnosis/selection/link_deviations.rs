@@ -88,11 +88,10 @@ pub(crate) fn estimate_link_deviations(
     state: &StreamState,
     offsets: &[f64],
 ) -> Option<LinkDeviations> {
-    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = DeviationModel::linearize(observations, state, &offsets, stride)?;
+        let model = DeviationModel::linearize(observations, state, &offsets)?;
         let fit = model.select_zeros(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
@@ -124,8 +123,7 @@ pub(crate) fn errors_beside_links<const N: usize>(
     offsets: &[f64],
     sets: [&[Cause]; N],
 ) -> [ErrorsBesideLinks; N] {
-    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
-    let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
+    let Some(model) = DeviationModel::linearize(observations, state, offsets) else {
         return sets.map(|_| ErrorsBesideLinks::default());
     };
     sets.map(|causes| {
@@ -210,8 +208,7 @@ pub(crate) fn causes_beyond_link_deviations(
     offsets: &[f64],
     causes: &[Cause],
 ) -> Vec<Cause> {
-    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
-    let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
+    let Some(model) = DeviationModel::linearize(observations, state, offsets) else {
         return causes.to_vec();
     };
     let additional = |causes: &[Cause]| AdditionalCauses::for_stream(causes, observations, stream);
@@ -255,8 +252,7 @@ pub(crate) fn zero_instead_of_frame(
     zeros: impl Iterator<Item = Cause>,
 ) -> Option<Cause> {
     let model = |(observations, stream): (&&PoseObservations, &StreamState)| {
-        let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
-        DeviationModel::linearize(observations, stream, &state.offsets, stride)
+        DeviationModel::linearize(observations, stream, &state.offsets)
     };
     let models: Vec<DeviationModel> =
         observations.iter().zip(&state.streams).map(model).collect::<Option<_>>()?;
@@ -340,9 +336,8 @@ impl DeviationModel {
         observations: &PoseObservations,
         state: &StreamState,
         offsets: &[f64],
-        stride: usize,
     ) -> Option<Self> {
-        let rows = (0..observations.len()).step_by(stride);
+        let rows = observations.rows(MAX_DEVIATION_SAMPLES);
         let linear =
             link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = observations.columns.len();

@@ -126,11 +126,7 @@ impl Linearized {
             .iter()
             .zip(&state.streams)
             .map(|(observations, stream)| {
-                observations.linearize(
-                    stream,
-                    &state.offsets,
-                    observations.len().div_ceil(max_samples),
-                )
+                observations.linearize(stream, &state.offsets, max_samples)
             })
             .collect();
         let values = state.values();
@@ -487,8 +483,7 @@ pub(crate) fn or_without_causes(
     model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
     let pairs = observations.iter().zip(&start.streams).zip(&model.linear.streams);
     let mut is_near = pairs.map(|((observations, stream), with)| {
-        let stride = observations.len().div_ceil(SAMPLES_OF_FIRST_COMPARISON);
-        let without = observations.linearize(stream, &start.offsets, stride);
+        let without = observations.linearize(stream, &start.offsets, SAMPLES_OF_FIRST_COMPARISON);
         rms(&without.residual[0]) < MAX_RATIO * rms(&with.residual[0])
     });
     if !is_near.all(|is_near| is_near) {

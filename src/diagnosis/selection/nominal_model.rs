@@ -46,13 +46,12 @@ pub(crate) fn is_nominal(
     stream_state: &StreamState,
     offsets: &[f64],
 ) -> bool {
-    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let as_recorded = observations.linearize(stream_state, offsets, stride);
+    let as_recorded = observations.linearize(stream_state, offsets, MAX_SAMPLES);
     let [rms_m, rms_rad] = [0, 1].map(|kind| rms(&as_recorded.residual[kind]));
     if rms_m > MAX_TIP_CHANGE_M || rms_rad > MAX_TIP_CHANGE_RAD {
         return false;
     }
-    let calibration = LinkFrameChanges::fit(observations, stream_state, offsets, stride);
+    let calibration = LinkFrameChanges::fit(observations, stream_state, offsets);
     let square_over_noise =
         |kind: usize, rms: f64| rms.powi(2) - 3.0 * calibration.weights[kind].noise.sigma.powi(2);
     let excess = square_over_noise(0, rms_m).max(square_over_noise(1, rms_rad) / RAD_PER_M.powi(2));
@@ -61,7 +60,7 @@ pub(crate) fn is_nominal(
     if excess < min_excess_m.powi(2) {
         return false;
     }
-    let explained = observations.linearize(&state.streams[stream], &state.offsets, stride);
+    let explained = observations.linearize(&state.streams[stream], &state.offsets, MAX_SAMPLES);
     let without_change = explained.weights_after(&vec![0.0; explained.width]);
     let saved = price(calibration.samples as f64) * dropped as f64;
     calibration.gain_over(&without_change) + saved > calibration.price()
@@ -82,8 +81,7 @@ pub(crate) fn is_unsteady_beside_links(
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = observations.with_stamps(logged_s);
     let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
-    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let as_logged = logged.linearize(state, offsets, stride);
+    let as_logged = logged.linearize(state, offsets, MAX_SAMPLES);
     if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
         || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
     {
@@ -94,8 +92,8 @@ pub(crate) fn is_unsteady_beside_links(
     for _ in 0..2 {
         steady_state.latency_s += steady.residual_at_latency(&steady_state, offsets, MAX_SAMPLES).1;
     }
-    let constant = LinkFrameChanges::fit(&logged, state, offsets, stride);
-    let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets, stride);
+    let constant = LinkFrameChanges::fit(&logged, state, offsets);
+    let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets);
     let price = price(unsteady.samples as f64) * profile.parameters as f64;
     let excess = |fit: &LinkFrameChanges| {
         [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
@@ -115,8 +113,7 @@ pub(crate) fn noise_beside_links(
     state: &StreamState,
     offsets: &[f64],
 ) -> (Vec<f64>, f64) {
-    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let fit = LinkFrameChanges::fit(observations, state, offsets, stride);
+    let fit = LinkFrameChanges::fit(observations, state, offsets);
     let constrained = fit.step.iter().zip(&fit.usual).filter(|(_, usual)| **usual != FREE_PRIOR);
     let squares = constrained.map(|(step, usual)| (step / usual).powi(2)).sum();
     (fit.weights.iter().map(|weight| weight.noise.sigma).collect(), squares)
@@ -139,10 +136,8 @@ pub(crate) fn timing_beside_link_deviations(
     offsets: &[f64],
     has_skew: bool,
 ) -> Option<Timing> {
-    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
-    let rows = (0..observations.len()).step_by(stride);
     let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
-    let frames = link_frames(observations, state, offsets, rows, free);
+    let frames = link_frames(observations, state, offsets, observations.rows(MAX_SAMPLES), free);
     let fit = LinkFrameChanges::fit_to(&frames, observations, state, LINK_PRIOR_M);
     let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
     let dof = (fit.normal.independent - frames.width as f64).max(1.0);
@@ -179,35 +174,28 @@ struct LinkFrameChanges {
     usual: Vec<f64>,
 }
 
-/// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample. The links deviate by
-/// about `link_m`.
+/// Residuals after the likeliest link frame changes, m and rad, for up to `most` covered samples. The links deviate by about
+/// `link_m`.
 pub(crate) fn calibrated_residuals(
     observations: &PoseObservations,
     stream_state: &StreamState,
     link_m: Option<f64>,
-    stride: usize,
+    most: usize,
 ) -> Vec<Vec<[f64; 3]>> {
     let link_m = link_m.map_or(LINK_PRIOR_M, |link_m| link_m.max(LINK_PRIOR_M));
-    let fit_stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
     let none = vec![0.0; observations.joints.dof];
-    let linearized = |stride: usize| {
-        let rows = (0..observations.len()).step_by(stride.max(1));
+    let linearized = |most: usize| {
+        let rows = observations.rows(most);
         link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
     };
-    let frames = linearized(fit_stride);
+    let frames = linearized(MAX_SAMPLES);
     let calibration = LinkFrameChanges::fit_to(&frames, observations, stream_state, link_m);
-    let frames = if stride.max(1) == fit_stride { frames } else { linearized(stride) };
-    frames.residuals_after(calibration.step.as_slice())
+    linearized(most).residuals_after(calibration.step.as_slice())
 }
 
 impl LinkFrameChanges {
-    fn fit(
-        observations: &PoseObservations,
-        stream_state: &StreamState,
-        offsets: &[f64],
-        stride: usize,
-    ) -> Self {
-        let rows = (0..observations.len()).step_by(stride);
+    fn fit(observations: &PoseObservations, stream_state: &StreamState, offsets: &[f64]) -> Self {
+        let rows = observations.rows(MAX_SAMPLES);
         let frames = link_frames(observations, stream_state, offsets, rows, FreeAlongside::Nothing);
         Self::fit_to(&frames, observations, stream_state, LINK_PRIOR_M)
     }
