@@ -6,7 +6,6 @@ use crate::residuals::cause_columns::{VariableColumns, ZEROS};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;
 use nalgebra::{DMatrix, DVector};
-use std::ops::Range;
 
 /// Coefficient of a term: its joint, and its profile by stream and sample.
 pub(super) struct Coefficient {
@@ -53,8 +52,7 @@ impl<'a> ComplianceSystem<'a> {
             Self { samples, coefficients, linears, weights, parameters, normal, profiled };
         system.sum();
         for _ in 0..2 {
-            let all: Vec<usize> = (0..width).collect();
-            let step = system.normal.step(&DVector::zeros(width), &all);
+            let step = system.normal.full_step();
             let own = |parameters: &[usize]| parameters.iter().map(|&p| step[p]).collect();
             let own: Vec<Vec<f64>> = system.parameters.iter().map(|it| own(it)).collect();
             let weights = system.linears.iter().zip(own);
@@ -71,8 +69,7 @@ impl<'a> ComplianceSystem<'a> {
         {
             linear.accumulate(weights, parameters, &mut self.normal);
         }
-        let prior = self.prior();
-        self.normal.matrix += &prior;
+        self.normal.matrix += self.prior();
         self.profiled = self.normal.profiled(self.coefficients);
     }
 
@@ -123,8 +120,7 @@ impl<'a> ComplianceSystem<'a> {
 
     /// Best values of all coefficients, and their covariance.
     pub fn estimate(&self) -> (DVector<f64>, DMatrix<f64>) {
-        let all: Vec<usize> = (0..self.coefficients).collect();
-        let values = self.profiled.step(&DVector::zeros(self.coefficients), &all);
+        let values = self.profiled.full_step();
         // The prior is as good as samples.
         let mut information = self.prior();
         let mut scores = information.clone();
@@ -134,8 +130,7 @@ impl<'a> ComplianceSystem<'a> {
             let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
             linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
         }
-        let own: Range<usize> = 0..self.coefficients;
         let covariance = sandwich(&information, &scores);
-        (values, covariance.view((0, 0), (own.len(), own.len())).into_owned())
+        (values, covariance.view((0, 0), (self.coefficients, self.coefficients)).into_owned())
     }
 }

@@ -161,9 +161,7 @@ impl<'a> CauseColumns<'a> {
 
     /// Normal equations of a linearisation, with the prior on the links.
     pub fn normal_equations(&self, linear: &Linear, weights: &[Weight]) -> Normal {
-        let all: Vec<usize> = (0..linear.width).collect();
-        let mut normal = Normal::zeros(linear.width);
-        linear.accumulate(weights, &all, &mut normal);
+        let mut normal = linear.normal(weights);
         let constant = self.constant();
         let mut own = normal.matrix.view_mut((0, 0), (constant, constant));
         own += self.prior();
@@ -314,8 +312,7 @@ impl<'a> CauseColumns<'a> {
     }
 
     pub fn fit(&self, linear: &Linear, weights: &[Weight]) -> DVector<f64> {
-        let all: Vec<usize> = (0..linear.width).collect();
-        self.normal_equations(linear, weights).step(&DVector::zeros(linear.width), &all)
+        self.normal_equations(linear, weights).full_step()
     }
 }
 

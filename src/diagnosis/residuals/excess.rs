@@ -4,7 +4,7 @@
 //! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
 
 use crate::model::measurement::{PoseObservations, StreamState};
-use crate::selection::nominal_model::{FreeAlongside, damped, link_frames};
+use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::noise::Noise;
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
@@ -13,6 +13,8 @@ use nalgebra::DVector;
 
 /// For the link frames.
 const MAX_SAMPLES: usize = 1000;
+/// For link frame changes, m and rad.
+const DAMPING_SCALE: f64 = 0.01;
 /// Cross-validation folds.
 const FOLDS: usize = 4;
 /// Fewer folds if noise is correlated for longer.
@@ -107,7 +109,8 @@ fn fold_correlation(
             link_frames(observations, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
         })
         .collect();
-    let normals: Vec<Normal> = folds.iter().map(normal_of).collect();
+    let normals: Vec<Normal> =
+        folds.iter().map(|fold| fold.normal(&fold.first_weights())).collect();
     let predicted = |fold: usize| {
         let others = normals.iter().enumerate().filter(|(other, _)| *other != fold);
         let mut normal = Normal::zeros(folds[fold].width);
@@ -115,8 +118,10 @@ fn fold_correlation(
             normal.matrix += &other.matrix;
             normal.right += &other.right;
         }
-        let all: Vec<usize> = (0..folds[fold].width).collect();
-        damped(normal).step(&DVector::zeros(all.len()), &all)
+        for i in 0..normal.right.len() {
+            normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);
+        }
+        normal.full_step()
     };
     let steps: Vec<DVector<f64>> = (0..folds.len()).map(predicted).collect();
     [0, 1].map(|kind| {
@@ -130,13 +135,6 @@ fn fold_correlation(
         }
         correlation(&pairs)
     })
-}
-
-fn normal_of(linear: &Linear) -> Normal {
-    let mut normal = Normal::zeros(linear.width);
-    let columns: Vec<usize> = (0..linear.width).collect();
-    linear.accumulate(&linear.first_weights(), &columns, &mut normal);
-    normal
 }
 
 /// Mean over blocks. Each is at least twice as long as the first series' correlation.

@@ -352,13 +352,11 @@ impl DeviationModel {
         columns: &DMatrix<f64>,
         of: Vec<DeviationParameter>,
     ) -> Self {
-        let all: Vec<usize> = (0..linear.width).collect();
         let every: Vec<usize> = (0..joints).collect();
         let mut weights = linear.first_weights();
         let mut model = Self { normal: Normal::zeros(of.len()), kinds: of, joints, dof: 3.0 };
         for _ in 0..4 {
-            let mut normal = Normal::zeros(linear.width);
-            linear.accumulate(&weights, &all, &mut normal);
+            let normal = linear.normal(&weights);
             model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
             model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
             model.normal.right = columns.tr_mul(&normal.right);

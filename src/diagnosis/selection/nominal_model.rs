@@ -30,8 +30,6 @@ pub(crate) const MAX_TIP_CHANGE_RAD: f64 = RAD_PER_M * MAX_TIP_CHANGE_M;
 const MIN_EXCESS_M: f64 = 0.3e-3;
 /// Same with joint zeros, whose intervals it widens.
 const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
-/// For link frame changes, m and rad.
-const DAMPING_SCALE: f64 = 0.01;
 const MAX_SAMPLES: usize = 1000;
 const FIT_ROUNDS: usize = 4;
 
@@ -207,27 +205,37 @@ impl LinkFrameChanges {
         stream_state: &StreamState,
         link_m: f64,
     ) -> Self {
-        let all: Vec<usize> = (0..frames.width).collect();
-        let usual: Vec<f64> =
-            all.iter().map(|&i| usual_change(i, observations, stream_state, link_m)).collect();
-        let none = DVector::zeros(frames.width);
-        let (mut weights, mut step) = (frames.first_weights(), none.clone());
+        let usual = |i: usize| usual_change(i, observations, stream_state, link_m);
+        let usual: Vec<f64> = (0..frames.width).map(usual).collect();
+        let (mut weights, mut step) = (frames.first_weights(), DVector::zeros(frames.width));
         let mut normal = Normal::zeros(frames.width);
         for _ in 0..FIT_ROUNDS {
-            normal = Normal::zeros(frames.width);
-            frames.accumulate(&weights, &all, &mut normal);
+            normal = frames.normal(&weights);
             for (i, usual) in usual.iter().enumerate() {
                 normal.matrix[(i, i)] += usual.powi(-2);
             }
-            step = normal.step(&none, &all);
+            step = normal.full_step();
             weights = frames.weights_after(step.as_slice());
         }
         Self { samples: frames.len(), weights, step, normal, usual }
     }
 
-    /// Complexity penalty, as a squared deviation.
+    /// Complexity penalty: squares in prior standard deviations, plus the log determinant of posterior over
+    /// prior precision, minus that of parameters free without a calibration.
     fn price(&self) -> f64 {
-        price_of(&self.step, &self.normal, &self.usual)
+        let Self { step, normal, usual, .. } = self;
+        let all: Vec<usize> = (0..usual.len()).collect();
+        let (free, constrained): (Vec<usize>, Vec<usize>) =
+            all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
+        let narrowing = |chosen: &[usize]| -> f64 {
+            let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
+            let n = chosen.len();
+            let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
+            // 1 is the prior; smaller values are rounding.
+            precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
+        };
+        let size: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
+        size + narrowing(&all) - narrowing(&free)
     }
 
     /// Twice the log likelihood ratio to a fit with weights `without_change`, both with this fit's noise
@@ -268,23 +276,6 @@ pub(crate) fn is_free_parameter(
         link if link == joints => stream_state.tool != Pose::identity(),
         link => link > joints,
     }
-}
-
-/// Complexity penalty: squares in prior standard deviations, plus the log determinant of posterior over
-/// prior precision, minus that of parameters free without a calibration.
-fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
-    let all: Vec<usize> = (0..usual.len()).collect();
-    let (free, constrained): (Vec<usize>, Vec<usize>) =
-        all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
-    let narrowing = |chosen: &[usize]| -> f64 {
-        let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
-        let n = chosen.len();
-        let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
-        // 1 is the prior; smaller values are rounding.
-        precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
-    };
-    let size: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
-    size + narrowing(&all) - narrowing(&free)
 }
 
 /// Parameters besides link frames and latency.
@@ -363,11 +354,4 @@ pub(crate) fn link_frames(
     let turn_rad = turn_rad.max(shift_m / observations.chain.max_reach_m().max(shift_m));
     linear.raise_floors(&[turn_rad * shift_m, turn_rad.powi(2)]);
     linear
-}
-
-pub(crate) fn damped(mut normal: Normal) -> Normal {
-    for i in 0..normal.right.len() {
-        normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);
-    }
-    normal
 }

@@ -270,6 +270,13 @@ impl Linear {
         normal.independent += independent.sum::<f64>();
     }
 
+    /// Normal equations of this stream alone.
+    pub fn normal(&self, weights: &[Weight]) -> Normal {
+        let mut normal = Normal::zeros(self.width);
+        self.accumulate(weights, &Vec::from_iter(0..self.width), &mut normal);
+        normal
+    }
+
     /// `Aᵀ W A` over all parameters.
     pub fn information(&self, weights: &[Weight]) -> DMatrix<f64> {
         let squares = self.weighted_squares(weights);
@@ -467,6 +474,12 @@ impl Normal {
             step[parameter] = solution[i];
         }
         step
+    }
+
+    /// Step from zero that minimises the cost over all parameters.
+    pub fn full_step(&self) -> DVector<f64> {
+        let width = self.right.len();
+        self.step(&DVector::zeros(width), &Vec::from_iter(0..width))
     }
 
     /// Cost after a step.
