@@ -13,7 +13,7 @@ use crate::latency::profile::latency_profile;
 use crate::model::measurement::StreamState;
 use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
-use crate::samples::sampling::{MAX_SEARCH_SAMPLES, rest_speeds};
+use crate::samples::sampling::{MAX_SEARCH_SAMPLES, range_of, rest_speeds};
 use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
 use crate::selection::nominal_model::{Timing, is_unsteady_beside_links};
 use crate::{
@@ -120,10 +120,7 @@ fn constant_coordinates(
     let part = |(axis, coordinate): (usize, char)| {
         let along =
             aligned.fk.iter().map(|fk| axes.convert_from_standard(fk.translation.vector)[axis]);
-        let (low, high) = along
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
-                (value.min(low), value.max(high))
-            });
+        let [low, high] = range_of(along);
         let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
         let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
         ConstantCoordinate { coordinate, value, moved_m: (high - low).max(0.0) }

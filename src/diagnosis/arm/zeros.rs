@@ -3,6 +3,7 @@ use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
+use crate::model::observability::travel;
 use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
 use crate::{Confounder, JointCoupling, JointOffset, JointScale, Measured, NotObservable};
@@ -156,14 +157,7 @@ fn gain(fitted: &ArmFit, corrected: &CorrectedJoints, at: usize) -> Option<Measu
 
 /// Joints that move by more than 3° (or 50 mm).
 fn moved_joints(joints: &JointTrack) -> Vec<bool> {
-    (0..joints.dof)
-        .map(|j| {
-            let column = || joints.q.iter().skip(j).step_by(joints.dof);
-            let low = column().copied().fold(f64::INFINITY, f64::min);
-            let high = column().copied().fold(f64::NEG_INFINITY, f64::max);
-            high - low > 0.05
-        })
-        .collect()
+    (0..joints.dof).map(|joint| travel(joints, joint) > 0.05).collect()
 }
 
 /// Largest distance of each joint's axis from the tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton

@@ -9,6 +9,7 @@ use super::system::{Coefficient, ComplianceSystem};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::joints::MIN_MOTION_RAD;
+use crate::model::observability::travel;
 use crate::priors::price;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{
@@ -65,9 +66,8 @@ impl ArmRun<'_> {
         let selection_price = 2.0 * (gains.len() as f64).ln();
         let gained = system.cost(&[]) - cost(&best);
         let gain = Gain { amount: system.best_value(best), ..gains[best] };
-        let [low, high] = range(&joints.q, gain.by, joints.dof);
         // Usual sag and eccentricity have a larger effect than a smaller gain.
-        let is_large = gain.amount.abs() * 0.5 * (high - low) > USUAL_COMPLIANCE_RAD;
+        let is_large = gain.amount.abs() * 0.5 * travel(&joints, gain.by) > USUAL_COMPLIANCE_RAD;
         let is_worth_it = gained > price(system.independent()) + selection_price;
         (is_large && is_worth_it).then_some((gain, selection_price))
     }
@@ -79,10 +79,7 @@ impl ArmRun<'_> {
             !self.is_prismatic[*column]
                 && self.streams.iter().any(|stream| stream.columns.contains(column))
         };
-        let moves = |column: &usize| {
-            let [low, high] = range(&self.joints.q, *column, dof);
-            high - low > MIN_MOTION_RAD
-        };
+        let moves = |column: &usize| travel(self.joints, *column) > MIN_MOTION_RAD;
         let driving: Vec<usize> = (0..dof).filter(is_rotary).filter(moves).collect();
         let of_joint = |column: usize| {
             driving.iter().map(move |&by| Gain { column, by, amount: 0.0 }).collect::<Vec<_>>()
@@ -110,12 +107,6 @@ impl Gain {
 fn rms_m(streams: &[PoseDiagnosis]) -> f64 {
     let residuals = streams.iter().filter_map(|stream| stream.residual.as_ref().ok());
     residuals.map(|residual| residual.rms_m).fold(0.0, f64::max)
-}
-
-/// Lowest and highest position.
-fn range(q: &[f64], column: usize, dof: usize) -> [f64; 2] {
-    let positions = q.iter().skip(column).step_by(dof.max(1));
-    positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &q| [low.min(q), high.max(q)])
 }
 
 fn middle(q: &[f64], column: usize, dof: usize) -> f64 {

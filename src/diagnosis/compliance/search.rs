@@ -7,6 +7,7 @@ use super::system::{Coefficient, ComplianceSystem};
 use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::arm_run::ArmRun;
 use crate::priors::price;
+use crate::samples::sampling::range_of;
 use crate::{ChangePoint, Course};
 use ground::stats::Measured;
 use std::ops::Range;
@@ -89,10 +90,8 @@ impl<'a> ComplianceSearch<'a> {
         let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
         let of_joint = |column: usize| {
-            let values =
-                || self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
-            let low = values().fold(f64::INFINITY, f64::min);
-            let high = values().fold(f64::NEG_INFINITY, f64::max);
+            let values = self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
+            let [low, high] = range_of(values);
             let sags = self.max_torque[column] > MIN_TORQUE_SHARE * largest;
             let turns = high - low > MIN_RANGE_RAD;
             let moves = high - low > 0.05;

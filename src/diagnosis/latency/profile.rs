@@ -26,7 +26,7 @@ pub(crate) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Op
 mod tests;
 mod windows;
 
-use crate::samples::sampling::monotonic_rows;
+use crate::samples::sampling::{monotonic_rows, range_of};
 use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
@@ -140,13 +140,13 @@ impl LatencyProfile {
                     (bin.t_s, fit.basis.latency_s(levels_s, at, bin.t_s))
                 };
                 let levels: Vec<(f64, f64)> = bins.map(level).collect();
-                let [low_s, high_s] = range(levels.iter().map(|level| level.1));
+                let [low_s, high_s] = range_of(levels.iter().map(|level| level.1));
                 let of_knots = size_s(levels_s.imin(), levels_s.imax());
                 let swing_s = Measured { value: high_s - low_s, ..of_knots };
                 profile(LatencyShape::Wander, swing_s, levels)
             }
             Basis::Load(load, _) => {
-                let [min, max] = range(load.iter().copied());
+                let [min, max] = range_of(load.iter().copied());
                 let slope = Measured {
                     value: levels_s[1],
                     std_error: covariance[(1, 1)].max(0.0).sqrt(),
@@ -441,11 +441,6 @@ fn measured(windows: &[Window]) -> Vec<(f64, Measured)> {
     let max_s = MAX_STD_ERROR_RATIO * typical_std_error_s(windows);
     let certain = windows.iter().filter(|window| window.latency_s.std_error < max_s);
     certain.map(|window| (window.t_s, window.latency_s)).collect()
-}
-
-/// Lowest and highest.
-fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::MAX, f64::MIN], |[low, high], value| [low.min(value), high.max(value)])
 }
 
 fn typical_std_error_s(windows: &[Window]) -> f64 {

@@ -9,6 +9,7 @@ use super::measurement::{
     LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
     STREAM_WIDTH, StreamState, TOOL_COLUMNS_START,
 };
+use crate::samples::sampling::range_of;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -197,9 +198,7 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
 }
 
 pub(crate) fn travel(joints: &JointTrack, joint: usize) -> f64 {
-    let column = || joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied();
-    let (low, high) = column()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+    let [low, high] = range_of(joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied());
     (high - low).max(0.0)
 }
 
