@@ -19,6 +19,7 @@ use crate::latency::correlation::stream_lag_s;
 use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
 use crate::residuals::cause_columns::{CauseColumns, ZEROS};
 use crate::residuals::comparison::{has_large_residual, restore_recorded};
+use crate::samples::sampling::FkSequence;
 use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
@@ -312,16 +313,12 @@ impl ArmRun<'_> {
         }
         let named =
             after.joints.without_eccentricity().corrected_joints(self.joints, self.is_prismatic);
-        let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);
         for (stream, diagnosis) in self.streams.iter().zip(&mut after.streams) {
             let truth_s = self.truth_s(stream, diagnosis);
             let AlignedSamples { t_s, fk_at_truth, .. } = &mut diagnosis.aligned;
-            let mut cursor = 0;
+            let mut sequence = FkSequence::new(&named, stream.chain, stream.columns);
             for (t_s, fk) in t_s.iter().zip(fk_at_truth) {
-                if named.at(truth_s(*t_s), &mut cursor, &mut q, &mut qd) {
-                    let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
-                    *fk = stream.chain.forward(&own);
-                }
+                *fk = sequence.at(truth_s(*t_s)).unwrap_or(*fk);
             }
         }
     }

@@ -7,6 +7,7 @@ use crate::encodings::position::metres_by_size;
 use crate::latency::coarse::detect_pose_latency_changes;
 use crate::latency::compensation::with_stamps;
 use crate::latency::correlation::ArmSpeeds;
+use crate::samples::sampling::FkSequence;
 use crate::solver::noise::Noise;
 use ground::geometry::{Pose, Vec3};
 use ground::stats::Measured;
@@ -68,7 +69,7 @@ fn lag_with_stamps(
     let rows = sample_rows(logged.t_s.len());
     // Positions of the poses in the tip, per row.
     let tool_offsets = |lag_s: f64, latency_s: f64| -> Vec<Option<Vec3>> {
-        let mut fk = FkSequence::new(joints, stream);
+        let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
         let offset = |&row: &usize| {
             let t_s = logged.t_s[row];
             let at = frame.pose_at(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
@@ -218,7 +219,7 @@ pub fn detect_base_motion(
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let rows = sample_rows(stream.track.t_s.len());
     let bases = |latency_s: f64| -> Vec<Pose> {
-        let mut fk = FkSequence::new(joints, stream);
+        let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
         let of_row = |&row: &usize| {
             let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
             Some(logged * fk.at(stream.track.t_s[row] - latency_s)?.inverse())
@@ -270,7 +271,7 @@ pub fn detect_base_motion(
 /// rotation axis resembles a moving base.
 fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
-    let mut fk = FkSequence::new(joints, stream);
+    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
     let both = sample_rows(stream.track.t_s.len()).into_iter().filter_map(|row| {
         let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
         Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
@@ -328,32 +329,6 @@ impl PlanarTravel {
             along_m: (squares.sum() - across).max(0.0).sqrt(),
             deviation_m: across.max(0.0).sqrt().hypot(Self::LEVER_M * leans_rad),
         }
-    }
-}
-
-struct FkSequence<'a> {
-    joints: &'a JointTrack,
-    stream: &'a PoseStream<'a>,
-    cursor: usize,
-    row: Vec<f64>,
-    rates: Vec<f64>,
-    q: Vec<f64>,
-}
-
-impl<'a> FkSequence<'a> {
-    fn new(joints: &'a JointTrack, stream: &'a PoseStream<'a>) -> Self {
-        let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
-        Self { joints, stream, cursor: 0, row, rates, q: vec![0.0; stream.columns.len()] }
-    }
-
-    fn at(&mut self, t_s: f64) -> Option<Pose> {
-        if !self.joints.at(t_s, &mut self.cursor, &mut self.row, &mut self.rates) {
-            return None;
-        }
-        for (q, &column) in self.q.iter_mut().zip(self.stream.columns) {
-            *q = self.row[column];
-        }
-        Some(self.stream.chain.forward(&self.q))
     }
 }
 

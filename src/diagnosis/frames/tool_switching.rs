@@ -10,7 +10,7 @@ use crate::compliance::motion_directions;
 use crate::encodings::position::metres_by_size;
 use crate::latency::correlation::median_period_s;
 use crate::model::measurement::{pose_of_twist, twist_of};
-use crate::samples::sampling::as_rotations;
+use crate::samples::sampling::{FkSequence, as_rotations};
 use crate::{LengthUnitError, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::{Measured, quantile};
@@ -179,15 +179,9 @@ fn step_limits(
     /// From the tip.
     const MAX_BODY_DISTANCE_M: f64 = 0.2;
     const MIN_JUMP_M_RAD: [f64; 2] = [5e-4, 3e-3];
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut fk = |t_s: f64| {
-        joints.at(t_s, &mut cursor, &mut q, &mut qd).then(|| {
-            let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
-            stream.chain.forward(&own)
-        })
-    };
+    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
     // At the stream's stamps.
-    let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
+    let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk.at(t_s)?)));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
     let by_fk = pose_steps(&t_s, period_s, &fk);
     let most = |kind: usize| {

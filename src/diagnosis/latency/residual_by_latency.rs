@@ -1,5 +1,6 @@
 //! Residual of a stream as a function of latency, around the estimate.
 
+use crate::samples::sampling::FkSequence;
 use crate::{PoseDiagnosis, PoseStream};
 use ground::geometry::angle_between;
 use ground::stream::JointTrack;
@@ -29,27 +30,17 @@ pub fn residual_by_latency(
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
     let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
     let skew = if diagnosis.is_skew_chosen { skew } else { 0.0 };
-    let middle_s = match aligned.t_s.as_slice() {
-        [first, .., last] => 0.5 * (first + last),
-        _ => 0.0,
-    };
+    let middle_s = aligned.middle_s();
     let mut squares = vec![(0.0, 0.0); latencies_s.len()];
-    let (mut compared, mut cursor) = (0, 0);
-    let mut track = [vec![0.0; joints.dof], vec![0.0; joints.dof]];
-    let mut q = vec![0.0; stream.columns.len()];
+    let mut compared = 0;
+    let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     let step = aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for row in (0..aligned.t_s.len()).step_by(step) {
         let (stamp_s, corrected) = (aligned.t_s[row], &aligned.corrected[row]);
         let residuals: Option<Vec<(f64, f64)>> = latencies_s
             .iter()
             .map(|latency_s| {
-                let truth_s = stamp_s - latency_s - skew * (stamp_s - middle_s);
-                let [positions, speeds] = &mut track;
-                if !joints.at(truth_s, &mut cursor, positions, speeds) {
-                    return None;
-                }
-                q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = positions[column]);
-                let fk = stream.chain.forward(&q);
+                let fk = sequence.at(stamp_s - latency_s - skew * (stamp_s - middle_s))?;
                 let distance_m = (fk.translation.vector - corrected.translation.vector).norm();
                 Some((distance_m, angle_between(&fk.rotation, &corrected.rotation)))
             })
@@ -65,13 +56,12 @@ pub fn residual_by_latency(
     }
     let rms = |square: f64| (square / compared as f64).sqrt();
     let valley = latencies_s.into_iter().zip(squares);
-    valley
-        .map(|(latency_s, (m, rad))| LatencyResidual {
-            latency_s,
-            rms_m: rms(m),
-            rms_rad: rms(rad),
-        })
-        .collect()
+    let residual = |(latency_s, (m, rad)): (f64, (f64, f64))| LatencyResidual {
+        latency_s,
+        rms_m: rms(m),
+        rms_rad: rms(rad),
+    };
+    valley.map(residual).collect()
 }
 
 /// Ascending, s. Extends beyond the estimate and zero; includes the estimate.

@@ -11,7 +11,7 @@ use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
 use crate::model::observability::travel;
-use crate::samples::sampling::rest_speeds;
+use crate::samples::sampling::{FkSequence, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
@@ -225,20 +225,17 @@ pub(crate) fn align_with_fk(
     lag_s: f64,
 ) -> AlignedSamples {
     let track = stream.track;
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     let mut aligned = AlignedSamples::default();
     for (row, &t_s) in track.t_s.iter().enumerate() {
-        if !joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
-            continue;
-        }
-        let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
+        let Some(fk) = sequence.at(t_s - lag_s) else { continue };
         let rotation = match &track.orientation {
             Orientations::Rotations(all) => all[row],
             Orientations::Numbers(_) | Orientations::Unset(_) => Default::default(),
         };
         aligned.t_s.push(t_s);
         aligned.logged.push(pose(track.xyz[row].into(), rotation));
-        aligned.fk.push(stream.chain.forward(&own));
+        aligned.fk.push(fk);
     }
     aligned
 }

@@ -53,6 +53,35 @@ pub(crate) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     }
 }
 
+/// FK of an arm at times, fastest if these ascend.
+pub(crate) struct FkSequence<'a> {
+    joints: &'a JointTrack,
+    chain: &'a Chain,
+    columns: &'a [usize],
+    cursor: usize,
+    row: Vec<f64>,
+    rates: Vec<f64>,
+    q: Vec<f64>,
+}
+
+impl<'a> FkSequence<'a> {
+    pub fn new(joints: &'a JointTrack, chain: &'a Chain, columns: &'a [usize]) -> Self {
+        let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        Self { joints, chain, columns, cursor: 0, row, rates, q: vec![0.0; columns.len()] }
+    }
+
+    /// `None` if joint states do not cover the time.
+    pub fn at(&mut self, t_s: f64) -> Option<Pose> {
+        if !self.joints.at(t_s, &mut self.cursor, &mut self.row, &mut self.rates) {
+            return None;
+        }
+        for (q, &column) in self.q.iter_mut().zip(self.columns) {
+            *q = self.row[column];
+        }
+        Some(self.chain.forward(&self.q))
+    }
+}
+
 /// Slow samples over the run, with FK.
 pub(crate) fn slow_samples(
     joints: &JointTrack,
@@ -64,14 +93,13 @@ pub(crate) fn slow_samples(
     /// The slow half of these is used.
     const MAX_SAMPLES: usize = 4000;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut covered: Vec<(usize, f64)> = Vec::new();
+    let mut slowest: Vec<(usize, f64)> = Vec::new();
     let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for (k, t) in t_s.iter().enumerate().step_by(stride) {
         if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
-            covered.push((k, qd.iter().map(|v| v * v).sum()));
+            slowest.push((k, qd.iter().map(|v| v * v).sum()));
         }
     }
-    let mut slowest = covered;
     let kept = slowest.len().div_ceil(2);
     slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
     slowest.truncate(kept);
@@ -79,15 +107,8 @@ pub(crate) fn slow_samples(
     rows.sort_unstable();
     let step = rows.len().div_ceil(ENCODING_SAMPLES).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    cursor = 0;
-    let fk = rows
-        .iter()
-        .map(|&k| {
-            joints.at(t_s[k] - lag_s, &mut cursor, &mut q, &mut qd);
-            let own: Vec<f64> = columns.iter().map(|&c| q[c]).collect();
-            chain.forward(&own)
-        })
-        .collect();
+    let mut fk = FkSequence::new(joints, chain, columns);
+    let fk = rows.iter().filter_map(|&k| fk.at(t_s[k] - lag_s)).collect();
     (rows, fk)
 }
 
