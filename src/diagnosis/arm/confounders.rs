@@ -11,10 +11,7 @@ pub(super) fn measured(
 ) -> EstimateResult<Measured> {
     let ArmFit { model, candidates, .. } = fitted;
     let state = &model.state;
-    let mut parameters: Vec<usize> =
-        candidates.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
-    parameters.sort_unstable();
-    parameters.dedup();
+    let parameters = candidates.free_parameters(causes, state);
     let parameter = cause.parameters(state).start + which;
     let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
     model.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
@@ -24,13 +21,7 @@ pub(super) fn measured(
 pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
     let ArmFit { model, candidates, .. } = fitted;
     let (state, linear) = (&model.state, &model.linear);
-    let parameters = |causes: &[Cause]| -> Vec<usize> {
-        let mut list: Vec<usize> =
-            candidates.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
-        list.sort_unstable();
-        list
-    };
-    let cost = linear.cost(&parameters(&model.causes));
+    let cost = linear.cost(&candidates.free_parameters(&model.causes, state));
     let rest: Vec<Cause> = model.causes.iter().copied().filter(|c| *c != cause).collect();
     candidates
         .optional
@@ -38,7 +29,7 @@ pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
         .filter(|other| !model.causes.contains(other))
         .filter_map(|&other| {
             let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
-            let parameters = parameters(&swapped);
+            let parameters = candidates.free_parameters(&swapped, state);
             if linear.cost(&parameters) > cost + 12.0 {
                 return None;
             }

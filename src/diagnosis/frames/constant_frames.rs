@@ -9,10 +9,9 @@ use crate::priors::MARKER_PRIOR_M;
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
-use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
-    Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
-    rotvec_from_rotation,
+    Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_matrix_rows,
+    rotation_from_rotvec, rotvec_from_rotation,
 };
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -397,10 +396,7 @@ pub(crate) fn frame_estimate(
     stream: usize,
 ) -> EstimateResult<FrameEstimate> {
     let (state, linear) = (&model.state, &model.linear);
-    let mut parameters: Vec<usize> =
-        candidates.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
-    parameters.sort_unstable();
-    parameters.dedup();
+    let parameters = candidates.free_parameters(causes, state);
     let own = cause.parameters(state);
     let width = own.len();
     let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;

@@ -63,9 +63,7 @@ impl Cause {
         let start = state.index(stream, first);
         start..start + count
     }
-}
 
-impl Cause {
     /// Removes the cause from `state`.
     pub fn remove_from(self, state: &mut State) {
         match self {
@@ -320,6 +318,15 @@ impl CandidateCauses {
     /// All causes.
     pub fn all(&self) -> Vec<Cause> {
         self.always.iter().chain(&self.optional).copied().collect()
+    }
+
+    /// Parameters of `causes` and of those that are always free, ascending.
+    pub fn free_parameters(&self, causes: &[Cause], state: &State) -> Vec<usize> {
+        let causes = self.always.iter().chain(causes);
+        let mut parameters: Vec<usize> = causes.flat_map(|cause| cause.parameters(state)).collect();
+        parameters.sort_unstable();
+        parameters.dedup();
+        parameters
     }
 }
 
@@ -577,8 +584,7 @@ fn continue_rounds(
         } else {
             select_causes(linear, candidates, state).causes
         };
-        let free: Vec<Cause> = candidates.always.iter().chain(&next).copied().collect();
-        let step = linear.step(&parameters_of(&free, state));
+        let step = linear.step(&candidates.free_parameters(&next, state));
         let is_converged = !frees_all && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
