@@ -26,9 +26,6 @@ use ground::robot::JointKind;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Per stream.
-pub(crate) const FIT_SAMPLES: usize = 4000;
-
 pub(super) struct ArmFit {
     pub(super) model: SelectedModel,
     pub(super) candidates: CandidateCauses,
@@ -83,7 +80,7 @@ fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
         false => {
             candidates.always.extend(&hidden);
             let start = State { offsets, streams };
-            let mut model = select_model(observations, start, &candidates, FIT_SAMPLES);
+            let mut model = select_model(observations, start, &candidates);
             model.causes.extend(hidden);
             model.causes.sort_unstable();
             model
@@ -119,9 +116,9 @@ fn fit_with_link_deviations(
         let candidates = candidates(decoded);
         let model = match start {
             Start::Final(model) => *model,
-            Start::At(state) => select_model(&observations, state, &candidates, FIT_SAMPLES),
+            Start::At(state) => select_model(&observations, state, &candidates),
         };
-        let model = or_without_causes(&observations, model, &candidates, FIT_SAMPLES);
+        let model = or_without_causes(&observations, model, &candidates);
         (model, candidates)
     };
     let (mut model, mut candidates) = fit_with(false);
@@ -141,7 +138,7 @@ fn fit_with_link_deviations(
     // Calibrations do not change a zero by more, rad or m.
     let without_small_zeros = |state: &State| large_zeros(state, corrected, 0.1);
     let large_offsets = without_small_zeros(&model.state);
-    let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets, FIT_SAMPLES);
+    let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets);
     let (model, candidates) = match with_offsets {
         true => prefer_zeros(&observations, model, candidates, &large_offsets),
         false => (model, candidates),
@@ -193,7 +190,7 @@ fn fit_with_link_deviations(
     let always = [candidates.always, named].concat();
     let candidates = CandidateCauses { always, optional, ..candidates };
     let start = State { offsets, streams: plain };
-    let model = select_model(&observations, start, &candidates, FIT_SAMPLES);
+    let model = select_model(&observations, start, &candidates);
     Some(ArmFit { model, candidates, deviations, timings: Vec::new() })
 }
 
@@ -237,7 +234,7 @@ fn prefer_zeros(
             };
             let optional = candidates.optional.iter().copied().filter(is_retained).collect();
             let candidates = CandidateCauses { optional, ..candidates.clone() };
-            let with_zero = select_model(observations, start, &candidates, FIT_SAMPLES);
+            let with_zero = select_model(observations, start, &candidates);
             if is_within_calibration(&with_zero) {
                 return prefer_zeros(observations, with_zero, candidates, large_offsets);
             }
@@ -296,7 +293,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     let candidates = CandidateCauses { optional, ..candidates.clone() };
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
-    let model = select_model(observations, start, &candidates, FIT_SAMPLES);
+    let model = select_model(observations, start, &candidates);
     match is_within_calibration(&model) {
         true => ArmFit { model, candidates, deviations: nominal, timings: Vec::new() },
         false => fitted,
@@ -514,7 +511,7 @@ fn best_start(
             }
         }
     }
-    let best = select_from_starts(&decoded.observations, starts, candidates, MAX_SEARCH_SAMPLES);
+    let best = select_from_starts(&decoded.observations, starts, candidates);
     let Some(best) = best else {
         return Start::At(start(&corrected.offsets, StreamState::at_latency(0.0)));
     };

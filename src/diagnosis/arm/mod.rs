@@ -24,6 +24,7 @@ use crate::samples::sampling::as_rotations;
 use crate::selection::evidence::log_bayes_factor;
 use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
+pub(super) use crate::selection::model_selection::FIT_SAMPLES;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
@@ -31,7 +32,6 @@ use crate::{
     StreamResidual,
 };
 use beside_links::BesideLinks;
-pub(super) use fit::FIT_SAMPLES;
 use fit::fit;
 pub use fit::full_fit_count;
 use ground::geometry::{Convention, QuaternionOrderError, Vec3};

@@ -9,6 +9,7 @@ use crate::model::measurement::{
     REFERENCE_COLUMNS_START, SKEW_COLUMN, STREAM_WIDTH, State, TOOL_COLUMNS_START,
 };
 use crate::priors::price;
+use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::{influence, sandwich};
@@ -456,19 +457,18 @@ pub(crate) struct SelectedModel {
     search: (Vec<Vec<Weight>>, Normal),
 }
 
-/// Alternates selection and Gauss–Newton steps from `start`, with about `max_samples` samples per stream.
+/// Alternates selection and Gauss–Newton steps from `start`.
 pub(crate) fn select_model(
     observations: &[&PoseObservations],
     start: State,
     candidates: &CandidateCauses,
-    max_samples: usize,
 ) -> SelectedModel {
-    let linear = Linearized::new(observations, &start, max_samples, &candidates.all());
-    let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
-    continue_rounds(observations, (start, &linear), candidates, max_samples, rounds)
+    let linear = Linearized::new(observations, &start, FIT_SAMPLES, &candidates.all());
+    continue_rounds(observations, (start, &linear), candidates, Rounds::FIT)
 }
 
-const MAX_ROUNDS: usize = 12;
+/// Per stream, except in the search for a start.
+pub(crate) const FIT_SAMPLES: usize = 4000;
 
 /// Of the noise, between models. A smooth residual keeps enough samples.
 const MAX_INFLATION: f64 = 20.0;
@@ -478,7 +478,6 @@ pub(crate) fn or_without_causes(
     observations: &[&PoseObservations],
     model: SelectedModel,
     candidates: &CandidateCauses,
-    max_samples: usize,
 ) -> SelectedModel {
     /// Ratio of the residuals up to which the model without causes may be likelier; not calibrated.
     const MAX_RATIO: f64 = 2.0;
@@ -497,9 +496,8 @@ pub(crate) fn or_without_causes(
         return model;
     }
     let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
-    let linear = Linearized::new(observations, &start, max_samples, &without.always);
-    let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
-    let without = continue_rounds(observations, (start, &linear), &without, max_samples, rounds);
+    let linear = Linearized::new(observations, &start, FIT_SAMPLES, &without.always);
+    let without = continue_rounds(observations, (start, &linear), &without, Rounds::FIT);
     // Rounded positions repeat with the configuration, so the noise is as correlated as without the causes.
     let gain = |(with, without): (Noise, Noise)| {
         let inflation = with.inflation().max(without.inflation()).min(MAX_INFLATION);
@@ -517,7 +515,6 @@ pub(crate) fn select_from_starts(
     observations: &PoseObservations,
     starts: Vec<State>,
     candidates: &CandidateCauses,
-    max_samples: usize,
 ) -> Option<SelectedModel> {
     const FIRST_ROUNDS: usize = 4;
     const CONTINUED: usize = 4;
@@ -527,11 +524,11 @@ pub(crate) fn select_from_starts(
     let first: Vec<SelectedModel> = starts
         .into_par_iter()
         .flat_map_iter(|state| {
-            let linear = Linearized::new(observations, &state, max_samples, &candidates.all());
+            let samples = MAX_SEARCH_SAMPLES;
+            let linear = Linearized::new(observations, &state, samples, &candidates.all());
             let after_rounds = |all_free: usize| {
-                let rounds = Rounds { all_free, most: FIRST_ROUNDS };
-                let start = (state.clone(), &linear);
-                continue_rounds(observations, start, candidates, max_samples, rounds)
+                let rounds = Rounds { all_free, most: FIRST_ROUNDS, samples };
+                continue_rounds(observations, (state.clone(), &linear), candidates, rounds)
             };
             let near = after_rounds(0);
             let far = (!near.leaves_only_noise()).then(|| after_rounds(ROUNDS_WITH_ALL_CAUSES));
@@ -552,8 +549,8 @@ pub(crate) fn select_from_starts(
             }
             let SelectedModel { state, mut linear, search: (weights, normal), .. } = model;
             linear.set_weights(weights, normal);
-            let rounds = Rounds { all_free: 0, most: MAX_ROUNDS };
-            continue_rounds(observations, (state, &linear), candidates, max_samples, rounds)
+            let rounds = Rounds { samples: MAX_SEARCH_SAMPLES, ..Rounds::FIT };
+            continue_rounds(observations, (state, &linear), candidates, rounds)
         })
         .collect();
     ranked(continued).into_iter().next()
@@ -564,6 +561,12 @@ struct Rounds {
     /// First rounds with all causes free.
     all_free: usize,
     most: usize,
+    /// Per stream.
+    samples: usize,
+}
+
+impl Rounds {
+    const FIT: Self = Self { all_free: 0, most: 12, samples: FIT_SAMPLES };
 }
 
 /// Rounds from a state with its linearisation.
@@ -571,7 +574,6 @@ fn continue_rounds(
     observations: &[&PoseObservations],
     (mut state, linear): (State, &Linearized),
     candidates: &CandidateCauses,
-    max_samples: usize,
     rounds: Rounds,
 ) -> SelectedModel {
     let all = candidates.all();
@@ -590,7 +592,7 @@ fn continue_rounds(
         causes = next;
         is_converged
     };
-    let linearized = |state: &State| Linearized::new(observations, state, max_samples, &all);
+    let linearized = |state: &State| Linearized::new(observations, state, rounds.samples, &all);
     let mut is_converged = step_from(linear, &mut state, 0);
     let mut linear = linearized(&state);
     for round in 1..rounds.most {

@@ -11,14 +11,12 @@ use ground::geometry::Pose;
 /// Of a fit by a tool, relative to one by the base. Noise of the joint positions rotates a tool, and shifts its tip.
 const MAX_NOISE_RATIO: f64 = 1.5;
 
-/// Replaces each tuned reference by a tool if that fits as well with link deviations, on about `max_samples` samples per
-/// stream. `offsets` has only the joint zeros too large for link deviations.
+/// Replaces each tuned reference by a tool if that fits as well with link deviations. `offsets` has only the joint zeros too large for link deviations.
 pub(crate) fn prefer_tool_frames(
     observations: &[&PoseObservations],
     mut model: SelectedModel,
     candidates: &CandidateCauses,
     offsets: &[f64],
-    max_samples: usize,
 ) -> SelectedModel {
     for (s, &observations_of_stream) in observations.iter().enumerate() {
         let stream = &model.state.streams[s];
@@ -61,7 +59,7 @@ pub(crate) fn prefer_tool_frames(
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
         let optional = candidates.optional.iter().filter(without).copied().collect();
         let candidates = CandidateCauses { optional, ..candidates.clone() };
-        model = select_model(observations, start, &candidates, max_samples);
+        model = select_model(observations, start, &candidates);
     }
     model
 }
