@@ -536,11 +536,15 @@ impl PoseDiagnosis {
     /// Whether the position residual is a large share of the motion, and too large for a calibration; then no finding is
     /// credible.
     pub fn is_far_from_fk(&self) -> bool {
-        let fk: Vec<Vec3> =
-            self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
         let excess_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
         excess_m > selection::nominal_model::MAX_TIP_CHANGE_M
-            && excess_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * frames::position_fit::spread(&fk)
+            && excess_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * self.extent_m()
+    }
+
+    /// Extent of FK's positions, m.
+    fn extent_m(&self) -> f64 {
+        let fk = self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector);
+        frames::position_fit::spread(&fk.collect::<Vec<Vec3>>())
     }
 
     /// Whether the motion is periodic, so other findings may belong to a wrong lag.

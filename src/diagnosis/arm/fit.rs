@@ -135,15 +135,13 @@ fn fit_with_link_deviations(
             (model, candidates) = (confounded, with_confounded);
         }
     }
-    // Calibrations do not change a zero by more, rad or m.
-    let without_small_zeros = |state: &State| large_zeros(state, corrected, 0.1);
-    let large_offsets = without_small_zeros(&model.state);
+    let large_offsets = large_zeros(&model.state, corrected);
     let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets);
     let (model, candidates) = match with_offsets {
         true => prefer_zeros(&observations, model, candidates, &large_offsets),
         false => (model, candidates),
     };
-    let large_offsets = without_small_zeros(&model.state);
+    let large_offsets = large_zeros(&model.state, corrected);
     let plain: Vec<StreamState> = (0..observations.len())
         .map(|s| with_significant_causes(&model, (observations[s], s), &large_offsets))
         .collect();
@@ -165,8 +163,7 @@ fn fit_with_link_deviations(
     let is_retained = |cause: &Cause| match *cause {
         Cause::Zero(joint) => offsets[joint] != 0.0,
         Cause::RadialScale(s) => plain[s].radial_scale != 0.0,
-        Cause::JointScale(_) => true,
-        Cause::Latency(_) | Cause::Skew(_) => true,
+        Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => true,
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
@@ -302,16 +299,18 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
 
 /// Whether link deviations may explain every stream's residual.
 fn is_within_calibration(model: &SelectedModel) -> bool {
-    model.linear.streams.iter().all(|stream| {
-        rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
-    })
+    leaves_less_than(model, [MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD])
 }
 
 /// Whether every stream's residual counts as explained.
 fn explains_all(model: &SelectedModel) -> bool {
-    model.linear.streams.iter().all(|stream| {
-        rms(&stream.residual[0]) < MAX_EXPLAINED_M && rms(&stream.residual[1]) < MAX_EXPLAINED_RAD
-    })
+    leaves_less_than(model, [MAX_EXPLAINED_M, MAX_EXPLAINED_RAD])
+}
+
+/// Whether the residual of every stream is less than these, m and rad.
+fn leaves_less_than(model: &SelectedModel, limits: [f64; 2]) -> bool {
+    let mut streams = model.linear.streams.iter();
+    streams.all(|stream| (0..2).all(|kind| rms(&stream.residual[kind]) < limits[kind]))
 }
 
 /// Causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
@@ -343,10 +342,12 @@ fn allows_link_deviations(model: &SelectedModel) -> bool {
         || model.noise().iter().any(|noise| noise.inflation() > MAX_NOISE_INFLATION)
 }
 
-/// Offsets above `threshold`, rad or m, and all scales.
-fn large_zeros(state: &State, corrected: &CorrectedJoints, threshold: f64) -> Vec<f64> {
+/// Offsets too large for link deviations, and all scales.
+fn large_zeros(state: &State, corrected: &CorrectedJoints) -> Vec<f64> {
+    /// Calibrations do not change a zero by more, rad or m.
+    const MAX_CALIBRATED_ZERO: f64 = 0.1;
     let retained = |(index, value): (usize, &f64)| {
-        if index >= corrected.track.dof || value.abs() > threshold { *value } else { 0.0 }
+        if index >= corrected.track.dof || value.abs() > MAX_CALIBRATED_ZERO { *value } else { 0.0 }
     };
     state.offsets.iter().enumerate().map(retained).collect()
 }

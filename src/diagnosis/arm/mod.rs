@@ -13,7 +13,6 @@ use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::encodings::rotation::MAX_RESIDUAL_RAD as MAX_ROTATION_RESIDUAL_RAD;
-use crate::frames::position_fit::spread;
 use crate::joints::{
     CorrectedJoints, LikelyEncoding, ResidualSize, estimate_joint_encoding, follows_arm,
     has_change_within_run, likely_encodings, other_encoding,
@@ -34,7 +33,7 @@ use crate::{
 use beside_links::BesideLinks;
 use fit::fit;
 pub use fit::full_fit_count;
-use ground::geometry::{Convention, QuaternionOrderError, Vec3};
+use ground::geometry::{Convention, QuaternionOrderError};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
@@ -294,7 +293,7 @@ const MAX_SCALE_RATIO: f64 = 1.01;
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_M: f64 = 5e-3;
 
-#[derive(Clone)]
+#[derive(Clone, Default)]
 struct EncodingResult {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
@@ -327,13 +326,8 @@ impl EncodingResult {
             && standard.is_close_to_fk()
             && standard.parameter_count() <= self.parameter_count();
         // A small misreading is near FK, too.
-        let is_near = are_otherwise_placed && standard.is_near_as_logged();
+        let is_near = are_otherwise_placed && standard.streams.iter().all(is_near_as_logged);
         if is_near || is_sufficient { standard } else { self }
-    }
-
-    /// All streams differ from FK by no more than calibrations do, without any correction.
-    fn is_near_as_logged(&self) -> bool {
-        self.streams.iter().all(is_near_as_logged)
     }
 
     /// Whether each stream in a known frame is near FK as logged, and each other one is explained.
@@ -376,7 +370,7 @@ impl EncodingResult {
     /// Some stream is close to FK.
     fn is_close_to_fk(&self) -> bool {
         let is_close = |stream: &PoseDiagnosis| {
-            let max_m = (MAX_RESIDUAL_SHARE * extent_m(stream)).max(MAX_RESIDUAL_M);
+            let max_m = (MAX_RESIDUAL_SHARE * stream.extent_m()).max(MAX_RESIDUAL_M);
             stream.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < max_m)
         };
         self.streams.iter().any(is_close)
@@ -419,14 +413,15 @@ impl EncodingResult {
         !self.streams.is_empty() && self.streams.iter().all(PoseDiagnosis::is_far_from_fk)
     }
 
+    /// Sum over the streams.
     fn total_residual_m(&self) -> f64 {
-        total_excess_m(&self.streams)
+        self.streams.iter().map(|stream| combined_m(excess_residual(stream))).sum()
     }
 
     /// Stream with the largest unexplained excess residual.
     fn largest_unexplained(&self) -> Option<(usize, ResidualSize)> {
         let residuals = self.streams.iter().map(excess_residual).enumerate();
-        let worst = residuals.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
+        let worst = residuals.max_by(|a, b| combined_m(a.1).total_cmp(&combined_m(b.1)))?;
         is_unexplained(&self.streams[worst.0]).then_some(worst)
     }
 }
@@ -518,7 +513,7 @@ impl ArmDiagnosis {
         let of_stream = |stream: &PoseDiagnosis| match (&stream.residual, &stream.encoding) {
             (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
             (Ok(residual), _) => {
-                let length = residual.rms_m / extent_m(stream).max(f64::MIN_POSITIVE);
+                let length = residual.rms_m / stream.extent_m().max(f64::MIN_POSITIVE);
                 length.hypot(residual.rms_rad).min(1.0)
             }
         };
@@ -537,41 +532,28 @@ impl ArmDiagnosis {
     }
 }
 
-/// Sum over the streams. Angles are weighted by 0.3 m.
-fn total_excess_m(streams: &[PoseDiagnosis]) -> f64 {
-    streams.iter().map(|stream| combined_m(&excess_residual(stream))).sum()
-}
-
 /// Of rotations that do not follow the arm.
 const UNREAD_RAD: f64 = 1.0;
 
 /// 1 m and [`UNREAD_RAD`] if not decoded.
 fn excess_residual(stream: &PoseDiagnosis) -> ResidualSize {
-    match (&stream.residual, &stream.encoding) {
-        (Ok(residual), Ok(_)) => {
-            ResidualSize { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+    let residual = stream.residual.as_ref();
+    let m = residual.map(|residual| residual.excess_m.value);
+    match &stream.encoding {
+        Ok(_) => {
+            let rad = residual.map(|residual| residual.excess_rad.value);
+            ResidualSize { m: m.unwrap_or(0.0), rad: rad.ok() }
         }
-        // Positions are valid, e.g. if the last joint's sign is wrong.
-        (Ok(residual), Err(NotObservable::DoesNotFollow(_))) => {
-            ResidualSize { m: residual.excess_m.value, rad: Some(UNREAD_RAD) }
+        // Positions may be valid, e.g. if the last joint's sign is wrong.
+        Err(NotObservable::DoesNotFollow(_)) => {
+            ResidualSize { m: m.unwrap_or(1.0), rad: Some(UNREAD_RAD) }
         }
-        (Ok(residual), Err(_)) => ResidualSize { m: residual.excess_m.value, rad: None },
-        (Err(_), Err(NotObservable::DoesNotFollow(_))) => {
-            ResidualSize { m: 1.0, rad: Some(UNREAD_RAD) }
-        }
-        (Err(_), _) => ResidualSize { m: 0.0, rad: None },
+        Err(_) => ResidualSize { m: m.unwrap_or(0.0), rad: None },
     }
 }
 
-fn combined_m(residual: &ResidualSize) -> f64 {
+fn combined_m(residual: ResidualSize) -> f64 {
     residual.combined_m(0.3)
-}
-
-/// Extent of FK's positions.
-fn extent_m(stream: &PoseDiagnosis) -> f64 {
-    let fk: Vec<Vec3> =
-        stream.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
-    spread(&fk)
 }
 
 /// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference
@@ -595,17 +577,9 @@ pub fn diagnose_derived(
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
     };
     let as_recorded = diagnose_as(&JointEncoding::default());
-    match encoding {
-        Some(encoding) if !encoding.is_as_logged() => {
-            let as_corrected = diagnose_as(encoding);
-            if residual_m(&as_corrected) < residual_m(&as_recorded) {
-                as_corrected
-            } else {
-                as_recorded
-            }
-        }
-        _ => as_recorded,
-    }
+    let as_corrected = encoding.filter(|encoding| !encoding.is_as_logged()).map(diagnose_as);
+    let better = as_corrected.filter(|it| residual_m(it) < residual_m(&as_recorded));
+    better.unwrap_or(as_recorded)
 }
 
 /// Best correlation of a pose stream's speeds with FK's. Bare numbers must also be positioned where the arm
@@ -665,59 +639,55 @@ fn diagnose(
         .map(|(stream, position_encoding)| decode_stream(corrected, stream, position_encoding))
         .collect();
     let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
-    let fitted = fit(&usable, corrected, with_offsets);
     let observations: Vec<&PoseObservations> =
         usable.iter().map(|decoded| &decoded.observations).collect();
-    let held_out = fitted
-        .as_ref()
-        .map(|fitted| HeldOut::new(&observations, &fitted.model, &fitted.candidates));
-    let beside_links = match &fitted {
-        Some(fitted) if with_offsets => BesideLinks::new(fitted, &usable),
-        _ => BesideLinks::default(),
-    };
-    let (offsets, scales, couplings) = match fitted.as_ref().zip(held_out.as_ref()) {
-        _ if !with_offsets || are_floating(streams) => (Vec::new(), Vec::new(), Vec::new()),
-        Some((fitted, held_out)) => (
-            joint_offsets(fitted, &usable, joints, held_out, &beside_links),
-            joint_scales(fitted, corrected),
-            joint_couplings(fitted, corrected),
-        ),
+    let fitted = fit(&usable, corrected, with_offsets);
+    let fitted = fitted.as_ref().map(|fitted| {
+        let held_out = HeldOut::new(&observations, &fitted.model, &fitted.candidates);
+        let beside_links = match with_offsets {
+            true => BesideLinks::new(fitted, &usable),
+            false => BesideLinks::default(),
+        };
+        (fitted, held_out, beside_links)
+    });
+    let mut result = EncodingResult::default();
+    match &fitted {
+        _ if !with_offsets || are_floating(streams) => {}
+        Some((fitted, held_out, beside_links)) => {
+            result.offsets = joint_offsets(fitted, &usable, joints, held_out, beside_links);
+            result.scales = joint_scales(fitted, corrected);
+            result.couplings = joint_couplings(fitted, corrected);
+        }
         None => {
             let why = decoded.iter().find_map(|decoded| decoded.as_ref().err());
-            (
-                unobservable_offsets(joints.dof, why.unwrap_or(&NotObservable::NoOverlap)),
-                Vec::new(),
-                Vec::new(),
-            )
+            let why = why.unwrap_or(&NotObservable::NoOverlap);
+            result.offsets = unobservable_offsets(joints.dof, why);
         }
-    };
+    }
     let mut used = 0;
-    let diagnoses = streams
-        .iter()
-        .zip(decoded.iter().zip(position_encodings))
-        .map(|(stream, (decoded, position_encoding))| match (decoded, &fitted) {
-            (Ok(decoded), Some(fitted)) => {
+    for ((stream, decoded), position_encoding) in
+        streams.iter().zip(&decoded).zip(position_encodings)
+    {
+        result.streams.push(match (decoded, &fitted) {
+            (Ok(decoded), Some((fitted, held_out, beside_links))) => {
                 let index = used;
                 used += 1;
-                let held_out = held_out.as_ref().map(|held_out| held_out.of_stream(index));
                 let found =
                     stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, index);
+                let widen = |scale| beside_links.widen(Cause::RadialScale(index), scale);
+                let widen_frame = |cause, frame| beside_links.widen_frame(cause, frame);
                 PoseDiagnosis {
-                    held_out: held_out.unwrap_or_default(),
-                    radial_scale: found
-                        .radial_scale
-                        .map(|scale| beside_links.widen(Cause::RadialScale(index), scale)),
-                    reference: found
-                        .reference
-                        .map(|it| beside_links.widen_frame(Cause::Reference(index), it)),
-                    tool: found.tool.map(|it| beside_links.widen_frame(Cause::Tool(index), it)),
+                    held_out: held_out.of_stream(index),
+                    radial_scale: found.radial_scale.map(widen),
+                    reference: found.reference.map(|it| widen_frame(Cause::Reference(index), it)),
+                    tool: found.tool.map(|it| widen_frame(Cause::Tool(index), it)),
                     ..found
                 }
                 .without_overfitted_causes()
             }
             (Ok(_), None) => no_diagnosis(NotObservable::NoOverlap),
             (Err(why), _) => no_diagnosis(why.clone()),
-        })
-        .collect();
-    EncodingResult { offsets, scales, couplings, streams: diagnoses }
+        });
+    }
+    result
 }

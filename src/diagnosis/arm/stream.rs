@@ -172,15 +172,9 @@ pub(super) fn stream_diagnosis(
         is_radial_scale_chosen: is_chosen(Cause::RadialScale(index)),
         reference: stream_fit.frame(Cause::Reference(index)),
         tool: stream_fit.frame(Cause::Tool(index)),
-        reference_changes: Vec::new(),
-        tool_changes: Vec::new(),
-        radial_scale_changes: Vec::new(),
-        held_out: StreamHeldOut::default(),
-        encoding_spans: EncodingSpans::default(),
         frame_correction: stream_state.frame_correction(),
         residual,
         is_nominal: deviations.is_some(),
-        is_derived: false,
         link_m: deviations.as_ref().map(|deviations| deviations.link_m),
         largest_displacement: deviations
             .as_ref()
@@ -188,6 +182,8 @@ pub(super) fn stream_diagnosis(
         observability: Some(observability),
         top_speed_m_s: position_encoding.top_speed_m_s,
         aligned,
+        // Changes and held-out residuals follow.
+        ..no_diagnosis(NotObservable::NotExcited)
     };
     if !found.is_nominal {
         return found;

@@ -13,7 +13,7 @@ use ground::stream::JointTrack;
 use std::f64::consts::TAU;
 
 pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
-    let offset = || JointOffset {
+    let offset = JointOffset {
         offset: Err(why.clone()),
         is_chosen: false,
         effect_m: 0.0,
@@ -21,7 +21,7 @@ pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<Joint
         confounders: Vec::new(),
         held_out: None,
     };
-    (0..dof).map(|_| offset()).collect()
+    vec![offset; dof]
 }
 
 /// Selected offsets are estimated with the selected causes free, the others with all joints free.
