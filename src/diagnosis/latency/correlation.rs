@@ -6,8 +6,9 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use crate::PoseStream;
+use crate::model::jacobian::PoseJacobian;
 use crate::samples::sampling::{as_rotations, row_blocks};
-use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::median;
 use ground::stream::{JointTrack, PoseTrack};
@@ -61,7 +62,8 @@ impl ArmSpeeds {
         /// More do not improve the correlation.
         const MAX_ROWS: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
-        let mut q = vec![0.0; columns.len()];
+        let (mut q, mut qd) = (vec![0.0; columns.len()], vec![0.0; columns.len()]);
+        let identity = Pose::identity();
         let mut t_s = Vec::new();
         let mut speeds: [Vec<f64>; 3] = Default::default();
         for row in (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1)) {
@@ -69,21 +71,15 @@ impl ArmSpeeds {
                 continue;
             };
             t_s.push(joints.t_s[row]);
-            for (own, &column) in q.iter_mut().zip(columns) {
-                *own = joints.row(row)[column];
+            for ((q, qd), &column) in q.iter_mut().zip(&mut qd).zip(columns) {
+                (*q, *qd) = (joints.row(row)[column], joints.qd[row * joints.dof + column]);
             }
             let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
-            let mut twist = [0.0; 6];
-            for (column, &track) in jacobian.iter().zip(columns) {
-                let rate = joints.qd[row * joints.dof + track];
-                for (sum, part) in twist.iter_mut().zip(column) {
-                    *sum += part * rate;
-                }
-            }
             let tip = base_from_tip.translation.vector;
-            let linear =
-                Vec3::new(twist[0], twist[1], twist[2]) + base_linear + base_angular.cross(&tip);
-            let angular = Vec3::new(twist[3], twist[4], twist[5]) + base_angular;
+            let jacobian = PoseJacobian::new(&jacobian, &identity, &base_from_tip, &identity);
+            let [linear, angular] = jacobian.velocity(&qd);
+            let linear = linear + base_linear + base_angular.cross(&tip);
+            let angular = angular + base_angular;
             // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
             let inverse = linear - angular.cross(&tip);
             for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {

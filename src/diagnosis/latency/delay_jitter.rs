@@ -3,7 +3,7 @@
 //! by the speed, if the motion is fast.
 
 use crate::{AlignedSamples, Measured};
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::Vec3;
 use ground::stats::median;
 
 /// Skewed delays of a stream.
@@ -82,15 +82,11 @@ struct SampleDelay {
 
 fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let t = &aligned.t_s;
-    let difference = |a: &Pose, b: &Pose| -> [Vec3; 2] {
-        let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-        [a.translation.vector - b.translation.vector, turn * LEVER_M]
-    };
+    let in_m = |[linear, angular]: [Vec3; 2]| [linear, angular * LEVER_M];
     let dot = |a: &[Vec3; 2], b: &[Vec3; 2]| a[0].dot(&b[0]) + a[1].dot(&b[1]);
     let of = |k: usize| {
-        let residual = difference(&aligned.corrected[k], &aligned.fk_at_truth[k]);
-        let [linear, angular] = aligned.velocity(k);
-        let velocity = [linear, angular * LEVER_M];
+        let residual = in_m(aligned.residual(k, &aligned.fk_at_truth[k]));
+        let velocity = in_m(aligned.velocity(k));
         let square = dot(&velocity, &velocity);
         let by_s = -dot(&residual, &velocity) / square.max(f64::MIN_POSITIVE);
         let across = [0, 1].map(|kind| residual[kind] + by_s * velocity[kind]);
@@ -106,7 +102,7 @@ fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ground::geometry::pose;
+    use ground::geometry::{Pose, pose};
     use rand::SeedableRng;
     use rand_distr::{Distribution, Exp, Normal};
 

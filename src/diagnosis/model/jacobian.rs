@@ -1,10 +1,16 @@
 //! Derivatives of a predicted pose `reference · FK(q) · tool`.
 
-use ground::geometry::{Pose, Rotation, Vec3};
+use ground::geometry::{Pose, Rotation, Vec3, rotvec_from_rotation};
 
 /// Change of the position in m, and of the rotation as a rotation vector in rad on the left, both in the stream's
 /// frame.
 pub(crate) type Derivative = [Vec3; 2];
+
+/// Change from one pose to another.
+pub(crate) fn pose_change(from: &Pose, to: &Pose) -> Derivative {
+    let turn = rotvec_from_rotation(&(to.rotation * from.rotation.inverse()));
+    [to.translation.vector - from.translation.vector, turn]
+}
 
 pub(crate) struct PoseJacobian<'a> {
     /// Geometric Jacobian of the link's origin in the base ([`ground::robot::Chain::forward_with_jacobian`]).
@@ -70,7 +76,6 @@ impl<'a> PoseJacobian<'a> {
 mod tests {
     use super::*;
     use crate::model::measurement::pose_of_twist;
-    use ground::geometry::rotvec_from_rotation;
     use ground::robot::catalogue;
 
     #[test]
@@ -87,11 +92,10 @@ mod tests {
         let base_from_link = chain.forward_with_jacobian(&q, &mut columns);
         let jacobian = PoseJacobian::new(&columns, &reference, &base_from_link, &tool);
         let assert_equal = |derivative: Derivative, moved: &dyn Fn(f64) -> Pose, name: &str| {
-            let (before, after) = (moved(-STEP), moved(STEP));
-            let linear = (after.translation.vector - before.translation.vector) / (2.0 * STEP);
-            let turn = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
-            assert!((derivative[0] - linear).norm() < 1e-6, "{name}: {derivative:?} {linear}");
-            assert!((derivative[1] - turn / (2.0 * STEP)).norm() < 1e-6, "{name}");
+            let change = pose_change(&moved(-STEP), &moved(STEP)).map(|part| part / (2.0 * STEP));
+            for kind in 0..2 {
+                assert!((derivative[kind] - change[kind]).norm() < 1e-6, "{name}: {derivative:?}");
+            }
         };
         let along = |axis: usize, step: f64| {
             pose_of_twist(&std::array::from_fn::<f64, 6, _>(|i| if i == axis { step } else { 0.0 }))

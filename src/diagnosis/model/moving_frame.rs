@@ -1,6 +1,7 @@
 //! A frame that moves in an arm's base, as the odometry frame of a mobile manipulator.
 
-use ground::geometry::{Pose, Vec3, interpolate, rotvec_from_rotation};
+use super::jacobian::pose_change;
+use ground::geometry::{Pose, Vec3, interpolate};
 use ground::stream::{Orientations, PoseTrack};
 
 /// Frame that moves in an arm's base. Poses in it are transformed to the base, so that constant causes have constant
@@ -75,8 +76,7 @@ impl MovingFrame {
         let to_s = (t_s + HALF_SPAN_S).min(last_s);
         let before = here * self.pose_at(from_s)?.inverse();
         let after = here * self.pose_at(to_s)?.inverse();
-        let moved = after.translation.vector - before.translation.vector;
-        let turned = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
-        Some([moved, turned].map(|change| change / (to_s - from_s).max(f64::MIN_POSITIVE)))
+        let span_s = (to_s - from_s).max(f64::MIN_POSITIVE);
+        Some(pose_change(&before, &after).map(|part| part / span_s))
     }
 }

@@ -4,14 +4,14 @@
 //! No arm is exactly its model. Tests of changes and compliance therefore include constant deviations of the links, with a
 //! prior.
 
-use crate::model::jacobian::{Derivative, PoseJacobian};
+use crate::model::jacobian::{Derivative, PoseJacobian, pose_change};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
-use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, pose};
 use ground::robot::{Chain, JointKind};
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
@@ -225,8 +225,7 @@ impl<'a> CauseColumns<'a> {
         let mut frames = Vec::new();
         for row in self.samples() {
             let (fk, is) = (&self.aligned.fk_at_truth[row], &self.aligned.corrected[row]);
-            let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-            let shift = is.translation.vector - fk.translation.vector;
+            let [shift, turn] = pose_change(fk, is);
             let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
             let tip = fk.translation.vector;
             let about_centre = pose((tip - self.centre).into(), fk.rotation);

@@ -3,12 +3,13 @@
 //! Model errors repeat with the configuration, correlated noise does not. The test is a cross-validation:
 //! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
 
+use crate::model::jacobian::pose_change;
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::noise::Noise;
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3};
 use nalgebra::DVector;
 
 /// For the link frames.
@@ -33,26 +34,26 @@ pub(crate) fn excess_residual(
     if n < 8 {
         return Err(NotObservable::TooFewSamples { have: n, need: 8 });
     }
-    let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
-    let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-    let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
-        a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
+    let differences = |a: &[Pose], b: &[Pose], tool: &Pose| -> (Vec<Vec3>, Vec<Vec3>) {
+        let difference = |(a, b): (&Pose, &Pose)| {
+            let [_, turn] = pose_change(b, a);
+            let [measured, predicted] = [a, b].map(|pose| (pose * tool).translation.vector);
+            (measured - predicted, turn)
+        };
+        a.iter().zip(b).map(difference).unzip()
     };
+    let AlignedSamples { logged, fk, corrected, fk_at_truth, .. } = aligned;
     // Compared at the measured point. At the tip, a rotation error of a distant marker becomes a position error.
-    let measured = |pose: &Pose| pose * stream.tool;
-    let at_marker = |a: &Pose, b: &Pose| position(&measured(a), &measured(b));
-    let residual_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &at_marker);
-    let residual_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
-    let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
-    let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
+    let (residual_m, residual_rad) = differences(corrected, fk_at_truth, &stream.tool);
+    let (before_m, before_rad) = differences(logged, fk, &Pose::identity());
     let [common_m, common_rad] = fold_correlation(observations, stream, offsets);
     Ok(StreamResidual {
         excess_m: excess(&residual_m, &common_m),
         excess_rad: excess(&residual_rad, &common_rad),
         rms_m: rms(&residual_m),
         rms_rad: rms(&residual_rad),
-        before_m,
-        before_rad,
+        before_m: rms(&before_m),
+        before_rad: rms(&before_rad),
     })
 }
 

@@ -7,6 +7,7 @@
 //! second differences over times with little motion (von Neumann 1941; Hall, Kay and Titterington 1990).
 
 use crate::latency::correlation::median_period_s;
+use crate::model::jacobian::pose_change;
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
@@ -14,7 +15,7 @@ use crate::model::observability::travel;
 use crate::samples::sampling::{FkSequence, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::median;
 use ground::stream::{JointTrack, Orientations};
 
@@ -263,12 +264,9 @@ pub(crate) struct ErrorSeries<'a> {
 
 impl<'a> ErrorSeries<'a> {
     pub fn from_poses(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
-        let both = || poses.iter().zip(fk);
-        let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
-        let turn =
-            |(a, b): (&Pose, &Pose)| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-        let angle = has_rotation.then(|| both().map(turn).collect());
-        Self::new(t_s, fk, length, angle)
+        let error = |(pose, fk): (&Pose, &Pose)| <(Vec3, Vec3)>::from(pose_change(fk, pose));
+        let (length, angle) = poses.iter().zip(fk).map(error).unzip();
+        Self::new(t_s, fk, length, has_rotation.then_some(angle))
     }
 
     pub fn new(

@@ -1,6 +1,7 @@
 //! Samples of a stream aligned with forward kinematics.
 
-use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
+use crate::model::jacobian::pose_change;
+use ground::geometry::{Pose, Vec3, angle_between};
 
 /// Poses of a stream and of FK, one entry per sample in each column.
 #[derive(Clone, Debug, Default)]
@@ -45,9 +46,7 @@ impl AlignedSamples {
 
     /// Corrected pose minus a predicted one: m, rotation vector in rad.
     pub(crate) fn residual(&self, row: usize, predicted: &Pose) -> [Vec3; 2] {
-        let corrected = &self.corrected[row];
-        let turn = rotvec_from_rotation(&(corrected.rotation * predicted.rotation.inverse()));
-        [corrected.translation.vector - predicted.translation.vector, turn]
+        pose_change(predicted, &self.corrected[row])
     }
 
     /// Velocity of `fk_at_truth` in the frame of the logged poses, in the axes of the sample's base: m/s and rad/s.
@@ -57,10 +56,8 @@ impl AlignedSamples {
             [] => self.fk_at_truth[other],
             base => base[row].inv_mul(&base[other]) * self.fk_at_truth[other],
         });
-        let moved = after.translation.vector - before.translation.vector;
-        let turned = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
         let interval_s = (self.t_s[to] - self.t_s[from]).max(f64::MIN_POSITIVE);
-        [moved, turned].map(|change| change / interval_s)
+        pose_change(&before, &after).map(|part| part / interval_s)
     }
 
     /// Middle of the stamps, s. 0 without samples.
