@@ -13,22 +13,17 @@ pub(super) struct MassModel {
 
 impl MassModel {
     /// Equal or tapered links, with and without a tool.
-    pub const CANDIDATES: [Self; 9] = {
-        const fn new(taper: f64, tool: f64) -> MassModel {
-            MassModel { taper, tool }
-        }
-        [
-            new(0.8, 0.5),
-            new(1.0, 0.0),
-            new(0.8, 0.0),
-            new(0.6, 0.0),
-            new(1.0, 1.0),
-            new(0.8, 2.0),
-            new(0.6, 1.0),
-            new(0.6, 3.0),
-            new(0.4, 0.5),
-        ]
-    };
+    pub const CANDIDATES: [Self; 9] = [
+        Self { taper: 0.8, tool: 0.5 },
+        Self { taper: 1.0, tool: 0.0 },
+        Self { taper: 0.8, tool: 0.0 },
+        Self { taper: 0.6, tool: 0.0 },
+        Self { taper: 1.0, tool: 1.0 },
+        Self { taper: 0.8, tool: 2.0 },
+        Self { taper: 0.6, tool: 1.0 },
+        Self { taper: 0.6, tool: 3.0 },
+        Self { taper: 0.4, tool: 0.5 },
+    ];
 }
 
 /// Torques with an upright base, up to a common factor. Each link is a point mass midway between its

@@ -156,11 +156,9 @@ impl ArmRun<'_> {
         if !found.iter().any(is_explained) {
             // A load change gives one joint two sag values.
             let terms = search.load_change_terms();
-            found.extend(if terms.is_empty() {
-                None
-            } else {
-                self.diagnose_without(&search, terms)
-            });
+            if !terms.is_empty() {
+                found.extend(self.diagnose_without(&search, terms));
+            }
         }
         let mut after = likeliest(found)?;
         if log_bayes_factor(&after, diagnosis) <= search.selection_price() {
@@ -199,7 +197,7 @@ impl ArmRun<'_> {
             let refined = self.diagnose_converged(&search, vec![term]);
             let is_refined = refined.is_some();
             // A constant torque does not distinguish them.
-            let equal = || self.with_compliance(search.to_compliance(&[term]));
+            let equal = || self.corrected(search.to_compliance(&[term]));
             let after = refined.or_else(equal).filter(has_unusual_compliance);
             let Some(after) = after else { continue };
             let is_zero_still_chosen =
@@ -255,7 +253,7 @@ impl ArmRun<'_> {
         search: &ComplianceSearch,
         mut terms: Vec<ComplianceTerm>,
     ) -> Option<ArmDiagnosis> {
-        let mut after = self.corrected(&search.to_compliance(&terms))?;
+        let mut after = self.corrected(search.to_compliance(&terms))?;
         for _ in 0..MAX_ROUNDS {
             let before = terms.clone();
             let samples = self.samples(&after);
@@ -263,26 +261,22 @@ impl ArmRun<'_> {
             if are_converged(&terms, &before) {
                 break;
             }
-            after = self.corrected(&search.to_compliance(&terms))?;
+            after = self.corrected(search.to_compliance(&terms))?;
         }
         after.joints.compliance = search.to_compliance(&terms);
         Some(after)
     }
 
-    fn with_compliance(&self, compliances: Vec<JointCompliance>) -> Option<ArmDiagnosis> {
-        let mut after = self.corrected(&compliances)?;
-        after.joints.compliance = compliances;
-        Some(after)
-    }
-
-    /// `None` if `compliances` is empty.
-    fn corrected(&self, compliances: &[JointCompliance]) -> Option<ArmDiagnosis> {
+    /// Diagnosis with these compliances. `None` without any.
+    fn corrected(&self, compliances: Vec<JointCompliance>) -> Option<ArmDiagnosis> {
         if compliances.is_empty() {
             return None;
         }
         let mut joints = self.joints.clone();
-        apply_compliance(&mut joints, compliances);
-        Some(ArmRun { joints: &joints, ..*self }.diagnose_as_logged())
+        apply_compliance(&mut joints, &compliances);
+        let mut after = ArmRun { joints: &joints, ..*self }.diagnose_as_logged();
+        after.joints.compliance = compliances;
+        Some(after)
     }
 
     fn samples<'b>(&'b self, diagnosis: &'b ArmDiagnosis) -> Vec<StreamSamples<'b>> {

@@ -49,11 +49,11 @@ impl<'a> ComplianceSearch<'a> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
         let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
         let torques = torques(&gravity, samples, run.joints.dof);
-        let mut most_torque = vec![0.0_f64; run.joints.dof];
+        let mut max_torque = vec![0.0_f64; run.joints.dof];
         for own in torques.iter().flatten() {
-            most_torque.iter_mut().zip(own).for_each(|(most, own)| *most = most.max(own.abs()));
+            max_torque.iter_mut().zip(own).for_each(|(max, own)| *max = max.max(own.abs()));
         }
-        Some(Self { run, samples, gravity, max_torque: most_torque, torques })
+        Some(Self { run, samples, gravity, max_torque, torques })
     }
 
     /// Same search on other samples.
@@ -61,18 +61,16 @@ impl<'a> ComplianceSearch<'a> {
     where
         'a: 'b,
     {
-        let gravity = Arc::clone(&self.gravity);
-        let torques = torques(&gravity, samples, self.run.joints.dof);
-        let most_torque = self.max_torque.clone();
-        ComplianceSearch { run: self.run, samples, gravity, max_torque: most_torque, torques }
+        let torques = torques(&self.gravity, samples, self.run.joints.dof);
+        let (gravity, max_torque) = (Arc::clone(&self.gravity), self.max_torque.clone());
+        ComplianceSearch { run: self.run, samples, gravity, max_torque, torques }
     }
 
     /// Sag whose mean equals a zero of `offset_rad`. `None` if the sign contradicts gravity or it is too
     /// large.
     pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<ComplianceTerm> {
-        let term =
-            |term: &ComplianceTerm| term.column == column && term.kind == ComplianceKind::Sag;
-        let term = self.candidates().into_iter().find(term)?;
+        let mut sags = self.candidates_of(|kind| *kind == ComplianceKind::Sag);
+        let term = sags.find(|term| term.column == column)?;
         let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
         let count = torques().count().max(1) as f64;
         let mean = torques().sum::<f64>() / count / self.max_torque[column];
@@ -84,6 +82,14 @@ impl<'a> ComplianceSearch<'a> {
     /// Price of the selection of one of the candidates, as a log ratio: each is equally likely.
     pub fn selection_price(&self) -> f64 {
         2.0 * (self.candidates().len().max(1) as f64).ln()
+    }
+
+    /// Candidates of these kinds.
+    fn candidates_of(
+        &self,
+        is_kind: impl Fn(&ComplianceKind) -> bool,
+    ) -> impl Iterator<Item = ComplianceTerm> {
+        self.candidates().into_iter().filter(move |term| is_kind(&term.kind))
     }
 
     fn candidates(&self) -> Vec<ComplianceTerm> {
@@ -216,16 +222,13 @@ impl<'a> ComplianceSearch<'a> {
     /// Sag that changes at one time, and backlash, with everything else free. Empty if constant sag fits
     /// about as well.
     pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
-        let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
-            let without_terms = self.candidates().into_iter();
-            let sags = without_terms.filter(|term| term.kind == ComplianceKind::Sag);
-            sags.map(|term| ComplianceTerm { kind: kind(at_s), ..term }).collect()
+        let Some((first, last)) = self.run.joints.span() else { return Vec::new() };
+        let loaded = |at_s: f64| -> Vec<ComplianceTerm> {
+            let kind = ComplianceKind::LoadedSag(at_s);
+            let sags = self.candidates_of(|kind| *kind == ComplianceKind::Sag);
+            sags.map(|term| ComplianceTerm { kind, ..term }).collect()
         };
-        let (Some(first), Some(last)) = (self.run.joints.t_s.first(), self.run.joints.t_s.last())
-        else {
-            return Vec::new();
-        };
-        let cost_at = |at_s: f64| self.residual_noise(&with(ComplianceKind::LoadedSag, at_s));
+        let cost_at = |at_s: f64| self.residual_noise(&loaded(at_s));
         let length_s = last - first;
         let rough = (1..TRIAL_TIMES).map(|at| first + length_s * at as f64 / TRIAL_TIMES as f64);
         let best = |tried: &mut dyn Iterator<Item = f64>| {
@@ -236,12 +239,8 @@ impl<'a> ComplianceSearch<'a> {
         let near = (-GRID_REFINEMENT..=GRID_REFINEMENT)
             .map(|step| rough_s + self.step_s() * f64::from(step));
         let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
-        let mut terms = with(ComplianceKind::LoadedSag, at_s);
-        terms.extend(
-            self.candidates()
-                .into_iter()
-                .filter(|term| matches!(term.kind, ComplianceKind::Backlash(_))),
-        );
+        let mut terms = loaded(at_s);
+        terms.extend(self.candidates_of(|kind| matches!(kind, ComplianceKind::Backlash(_))));
         let set = self.selected(&terms, |_| true, &self.system(&terms));
         let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
         if is_loaded { set } else { Vec::new() }
