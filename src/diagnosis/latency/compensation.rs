@@ -74,8 +74,16 @@ struct CoarselyCompensated {
 
 impl CoarselyCompensated {
     fn new(run: &ArmRun, changes: Vec<Option<CoarseLatencyChange>>) -> Self {
-        let diagnosis =
-            diagnose_without_coarse_changes(run.joints, run.streams, &changes, run.max_lag_s);
+        let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
+            Some(with_stamps(stream, &change.as_ref()?.compensated(&stream.track.t_s)))
+        };
+        let tracks: Vec<Option<PoseTrack>> =
+            run.streams.iter().zip(&changes).map(of_stream).collect();
+        let mut streams = with_tracks(run.streams, &tracks);
+        for (stream, change) in streams.iter_mut().zip(&changes) {
+            stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
+        }
+        let diagnosis = diagnose_arm(run.joints, &streams, run.max_lag_s);
         Self { changes, diagnosis }
     }
 
@@ -165,24 +173,6 @@ fn with_profile(
     }
 }
 
-fn diagnose_without_coarse_changes(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    changes: &[Option<CoarseLatencyChange>],
-    max_lag_s: f64,
-) -> ArmDiagnosis {
-    let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
-        let rows = change.as_ref()?.compensated(&stream.track.t_s);
-        Some(with_stamps(stream, &rows))
-    };
-    let tracks: Vec<Option<PoseTrack>> = streams.iter().zip(changes).map(of_stream).collect();
-    let mut streams = with_tracks(streams, &tracks);
-    for (stream, change) in streams.iter_mut().zip(changes) {
-        stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
-    }
-    diagnose_arm(joints, &streams, max_lag_s)
-}
-
 /// Shares of the rows of streams that are within the times of the joint states.
 fn compared_shares(
     joints: &JointTrack,
@@ -233,8 +223,8 @@ pub fn diagnose_imu_with_latency_compensation(
             .iter()
             .filter_map(|&(row, _)| stream.track.orientation.get(row).copied())
             .collect(),
-        gyro: rows.iter().map(|&(row, _)| stream.track.gyro[row]).collect(),
-        accel: rows.iter().map(|&(row, _)| stream.track.accel[row]).collect(),
+        gyro: at_rows(&stream.track.gyro, rows),
+        accel: at_rows(&stream.track.accel, rows),
     };
     let diagnosed = |track: &ImuTrack, removed_ramp: Option<&LatencyRamp>| {
         let stream = ImuStream { track, removed_ramp, ..stream };
@@ -311,26 +301,23 @@ pub(crate) fn with_stamps(stream: &PoseStream, rows: &[(usize, f64)]) -> PoseTra
     track
 }
 
+fn at_rows<T: Copy>(values: &[T], rows: &[(usize, f64)]) -> Vec<T> {
+    rows.iter().map(|&(row, _)| values[row]).collect()
+}
+
 fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
-        in_other_angles: declared
-            .in_other_angles
-            .as_ref()
-            .map(|all| rows.iter().map(|&(row, _)| all[row]).collect()),
+        in_other_angles: declared.in_other_angles.as_ref().map(|all| at_rows(all, rows)),
         ..*declared
     });
     let orientation = match &track.orientation {
-        Orientations::Rotations(all) => {
-            Orientations::Rotations(rows.iter().map(|&(row, _)| all[row]).collect())
-        }
-        Orientations::Numbers(all) => {
-            Orientations::Numbers(rows.iter().map(|&(row, _)| all[row]).collect())
-        }
+        Orientations::Rotations(all) => Orientations::Rotations(at_rows(all, rows)),
+        Orientations::Numbers(all) => Orientations::Numbers(at_rows(all, rows)),
         Orientations::Unset(_) => Orientations::Unset(rows.len()),
     };
     PoseTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
-        xyz: rows.iter().map(|&(row, _)| track.xyz[row]).collect(),
+        xyz: at_rows(&track.xyz, rows),
         orientation,
         declared,
     }

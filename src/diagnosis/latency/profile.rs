@@ -106,11 +106,9 @@ impl LatencyProfile {
             swing_s,
             is_unsteady: true,
             shape,
-            skew: 0.0,
-            steps: Vec::new(),
             levels,
-            windows: measured(windows),
             parameters: fit.basis.parameters(),
+            ..steady_profile(windows)
         };
         match &fit.basis {
             Basis::Line(_) => steady_profile(windows),
@@ -124,13 +122,12 @@ impl LatencyProfile {
                 Self { steps, ..profile(LatencyShape::Steps, swing_s, levels) }
             }
             &Basis::Ramp([from_s, to_s]) => {
-                let levels = [
+                let mut levels = vec![
                     (windows[0].t_s.min(from_s), levels_s[0]),
                     (from_s, levels_s[0]),
                     (to_s, levels_s[1]),
                     (windows[windows.len() - 1].t_s.max(to_s), levels_s[1]),
                 ];
-                let mut levels = levels.to_vec();
                 levels.dedup();
                 profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
             }

@@ -3,7 +3,7 @@
 
 use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
-use super::profile::{LatencyProfile, LatencyShape, LatencyStep, mean};
+use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
 };
@@ -265,12 +265,9 @@ impl LatencySteps {
         let fine_steps = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
         jumps.extend(fine_steps.iter().filter(is_near_step));
         jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let size = |jump: &LatencyStep| jump.size_s.value.abs();
-        let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
         let none = Measured { value: 0.0, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
-        let parameters = 2 * jumps.len();
         LatencyProfile {
-            swing_s: largest.map_or(none, |jump| jump.size_s),
+            swing_s: largest(&jumps).unwrap_or(none),
             is_unsteady: true,
             shape: LatencyShape::Steps,
             skew: 0.0,
@@ -280,7 +277,7 @@ impl LatencySteps {
                 .map(|level| (level.from_s, level.lag_s - self.retained_lag_s()))
                 .collect(),
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
-            parameters,
+            parameters: 2 * jumps.len(),
             steps: jumps,
         }
     }
