@@ -40,14 +40,11 @@ pub(crate) fn starting_states(
     let with =
         |reference: Pose, tool: Pose| StreamState { reference, tool, ..without_frames.clone() };
     let identity = Pose::identity();
-    let mut starts = Vec::new();
     if !observations.reference_known {
         let (reference, tool) = fit_frames(&fk, &logged);
-        starts.push(with(reference_frame(&fk, &logged), identity));
-        starts.push(with(reference, tool));
-        return starts;
+        return vec![with(reference_frame(&fk, &logged), identity), with(reference, tool)];
     }
-    starts.push(without_frames.clone());
+    let mut starts = vec![without_frames.clone()];
     let far = fk.iter().zip(&logged).filter(|(fk, logged)| {
         angle_between(&fk.rotation, &logged.rotation) > MAX_UNGUESSED_RAD
             || (fk.translation.vector - logged.translation.vector).norm() > MAX_UNGUESSED_M
@@ -62,18 +59,16 @@ pub(crate) fn starting_states(
     starts.push(with(identity, tool_only));
     starts.push(with(reference_only, identity));
     starts.push(with(reference, tool));
+    let with_round =
+        |round: Pose, tool: Pose| StreamState { round_reference: Some(round), ..with(round, tool) };
+    let tool_after =
+        |round: &Pose| tool_frame(&fk.iter().map(|fk| round * fk).collect::<Vec<Pose>>(), &logged);
     if let Some(round) = round_frame_error(&reference_only, &first_joint) {
-        let rotated: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
-        let start = StreamState { round_reference: Some(round), ..with(round, identity) };
-        starts.push(StreamState { tool: tool_frame(&rotated, &logged), ..start.clone() });
-        starts.push(start);
+        starts.push(with_round(round, tool_after(&round)));
+        starts.push(with_round(round, identity));
     }
     if let Some(round) = round_frame_error(&reference, &first_joint) {
-        let rotated: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
-        starts.push(StreamState {
-            round_reference: Some(round),
-            ..with(round, tool_frame(&rotated, &logged))
-        });
+        starts.push(with_round(round, tool_after(&round)));
     }
     if let Some(round) = round_rotation(&tool_only.rotation) {
         let shifted = pose(tool_only.translation.vector.into(), round.rotation);
@@ -83,17 +78,19 @@ pub(crate) fn starting_states(
     starts
 }
 
-/// FK and logged poses of a subset of samples.
+/// FK and logged poses of a subset of samples. FK has no frames.
 fn pose_pairs(
     observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> (Vec<Pose>, Vec<Pose>) {
+    let identity = Pose::identity();
+    let state = StreamState { reference: identity, tool: identity, ..state.clone() };
     let mut sweep = PredictionBuffers::new(observations);
     observations
         .rows(INITIAL_GUESS_SAMPLES)
         .filter_map(|k| {
-            let fk = observations.pose_at(k, state, offsets, &mut sweep)?;
+            let fk = observations.pose_at(k, &state, offsets, &mut sweep)?;
             Some((fk, pose(observations.xyz[k].into(), observations.rotation[k])))
         })
         .unzip()
@@ -118,9 +115,7 @@ pub(crate) fn with_frames_from_positions(
     state: StreamState,
     offsets: &[f64],
 ) -> StreamState {
-    let identity = Pose::identity();
-    let without_frames = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
+    let (fk, logged) = pose_pairs(observations, &state, offsets);
     if fk.len() < 3 {
         return state;
     }
@@ -149,8 +144,7 @@ pub(crate) fn tool_start(
     state: &StreamState,
     offsets: &[f64],
 ) -> Option<Pose> {
-    let without_tool = StreamState { tool: Pose::identity(), ..state.clone() };
-    let (fk, logged) = pose_pairs(observations, &without_tool, offsets);
+    let (fk, logged) = pose_pairs(observations, state, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
@@ -216,9 +210,7 @@ pub(crate) fn constant_frame_residual(
     state: &StreamState,
     offsets: &[f64],
 ) -> [f64; 2] {
-    let identity = Pose::identity();
-    let without_frames = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
+    let (fk, logged) = pose_pairs(observations, state, offsets);
     misfit_of_frames(&fk, &logged)
 }
 

@@ -87,9 +87,7 @@ fn lag_with_stamps(
         let squares = offsets.iter().map(Vec3::norm_squared);
         (squares.sum::<f64>() / offsets.len() as f64).sqrt()
     };
-    let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
-    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
-    let best = lags.min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
+    let best = lags(max_lag_s).min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
     let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
     let min_cost_together = cost(together, together);
     if !min_cost_together.is_finite() {
@@ -116,6 +114,12 @@ fn lag_with_stamps(
         }
         late => (MovingBaseLag { latency_s, transform_latency_s: late }, min_cost),
     })
+}
+
+/// Lags to try, s.
+fn lags(max_lag_s: f64) -> impl Iterator<Item = f64> {
+    let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S)
 }
 
 fn subtract_mean(vectors: &mut [Vec3]) {
@@ -235,10 +239,8 @@ pub fn detect_base_motion(
     };
     let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
     let peaks = arm.lag_peaks(&stream.track.t_s, &stream.track.xyz, Some(rotations), max_lag_s);
-    let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
-    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
     let near: Vec<f64> = peaks.iter().take(3).map(|peak| peak.lag_s).collect();
-    let best = lags
+    let best = lags(max_lag_s)
         .chain(near.iter().copied())
         .min_by(|&a, &b| distance_from_start(a).total_cmp(&distance_from_start(b)))?;
     let latency_s = descend([best, 0.0], &|[latency_s, _]| distance_from_start(latency_s))[0];
@@ -249,10 +251,9 @@ pub fn detect_base_motion(
     let travel = PlanarTravel::fit(&bases);
     let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
     let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
-    let middle =
-        bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
-    let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
-    let travel_m = far.fold(0.0, f64::max);
+    let mut away: Vec<Vec3> = bases.iter().map(|base| base.translation.vector).collect();
+    subtract_mean(&mut away);
+    let travel_m = away.iter().map(Vec3::norm).fold(0.0, f64::max);
     let moves = travel_m > MIN_TRAVEL_M
         && travel.along_m > MIN_TRAVEL_RATIO * travel.deviation_m
         && largest_m < MAX_STEP_SHARE * travel.along_m
@@ -304,8 +305,8 @@ impl PlanarTravel {
         for pose in poses {
             mean += pose.rotation.to_rotation_matrix().into_inner() / n;
         }
-        let middle = poses.iter().map(|pose| pose.translation.vector).sum::<Vec3>() / n;
-        let away: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector - middle).collect();
+        let mut away: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector).collect();
+        subtract_mean(&mut away);
         let scatter =
             away.iter().map(|away| away * away.transpose()).sum::<nalgebra::Matrix3<f64>>() / n;
         let squares = scatter.symmetric_eigenvalues();
