@@ -174,18 +174,14 @@ impl TwoLatencies {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_motion::{arm, tip_stream};
     use ground::geometry::Vec3;
-    use ground::robot::catalogue;
     use ground::stream::{Orientations, PoseTrack};
 
     /// A UR5e. Its last three joints are late by `late_s`, and its poses by 4 ms, in a displaced frame.
     #[test]
     fn late_joints_are_measured_beside_frames_and_zeros() {
-        let robot = catalogue::find("ur5e").expect("in the catalogue");
-        let link = |name: &str| robot.link(name).expect("a link");
-        let base = link(robot.controller_base.as_deref().expect("a base"));
-        let chain = robot.chain(base, link(robot.default_tip.as_deref().expect("a tip")));
-        let chain = chain.expect("a chain");
+        let (_, chain) = arm();
         let angle = |joint: usize, t_s: f64| {
             [-0.4, -1.3, 1.4, -1.2, -1.0, 0.3][joint]
                 + 0.5 * ((0.7 + 0.3 * joint as f64) * t_s).sin()
@@ -217,7 +213,7 @@ mod tests {
                 orientation: Orientations::Unset(t_s.len()),
                 declared: None,
             };
-            let stream = crate::test_motion::tip_stream(&track, &chain);
+            let stream = tip_stream(&track, &chain);
             let fit = |own: &[usize]| TwoLatencies::fit(&joints, &stream, (1.0, 0.0), own);
             let (two, one) = (fit(&[3, 4, 5]).expect("a fit"), fit(&[]).expect("a fit"));
             assert!((two.between.value - late_s).abs() < 2e-4, "{:?}", two.between);

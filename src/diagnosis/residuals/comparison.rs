@@ -1,7 +1,6 @@
 //! Compares residuals of a run under two diagnoses, and with its noise.
 
-use super::residual_check::align_with_fk;
-use super::residual_check::{ErrorSeries, ErrorSize, PartError};
+use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::Noise;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream};
@@ -21,10 +20,7 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     let aligned = &diagnosis.aligned;
     let does_not_follow = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
     if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
-        return does_not_follow
-            || diagnosis
-                .unusable_reason()
-                .is_some_and(|why| matches!(why, NotObservable::DoesNotFollow(_)));
+        return does_not_follow;
     }
     let moves = vec![true; aligned.t_s.len()];
     let has_rotation = diagnosis.encoding.is_ok();

@@ -41,30 +41,25 @@ fn log_likelihood_ratio(one: &ArmDiagnosis, other: &ArmDiagnosis) -> (f64, f64) 
     for (one, other) in one.streams.iter().zip(&other.streams) {
         let link_m = [one.link_m, other.link_m].into_iter().flatten().fold(MODEL_ERROR_M, f64::max);
         for (one, other) in noises(one, link_m).into_iter().zip(noises(other, link_m)) {
-            let better = if one.noise.sigma < other.noise.sigma { &one } else { &other };
-            let samples = 3.0 * better.samples as f64
-                / better.noise.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
+            let (samples, better) = if one.1.sigma < other.1.sigma { one } else { other };
+            let inflation = better.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
+            let samples = 3.0 * samples as f64 / inflation;
             independent += samples;
-            gain += 2.0 * samples * (other.noise.sigma / one.noise.sigma).ln();
+            gain += 2.0 * samples * (other.1.sigma / one.1.sigma).ln();
         }
     }
     (gain, independent)
 }
 
-struct ResidualNoise {
-    samples: usize,
-    noise: Noise,
-}
-
-/// Of positions, m, and rotations, rad, including link deviations of this size.
-fn noises(stream: &PoseDiagnosis, link_m: f64) -> [ResidualNoise; 2] {
+/// Numbers of samples, and noise of positions, m, and rotations, rad, including link deviations of this size.
+fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
     let does_not_follow =
         stream.residual.is_err() || matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)));
     let [positions, rotations] = residual_vectors(stream);
     let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
         let mut noise = Noise::estimate(&residuals, &vec![1.0; residuals.len()], 0.0);
         noise.sigma = if is_explained { noise.sigma.hypot(model_error) } else { SIGMA_UNEXPLAINED };
-        ResidualNoise { samples: residuals.len(), noise }
+        (residuals.len(), noise)
     };
     [
         noise(positions, link_m, !does_not_follow),

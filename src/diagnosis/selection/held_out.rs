@@ -1,6 +1,7 @@
 //! How well a model of one half of the run predicts the other half, with and without each cause.
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
+use super::nominal_model::mean_square;
 use crate::model::measurement::{PoseObservations, State, StreamState};
 use crate::samples::sampling::rows_of_half;
 use crate::solver::linear::{Linear, Normal};
@@ -140,11 +141,6 @@ impl<'a> HeldOut<'a> {
         };
         streams.map(of_stream).collect()
     }
-}
-
-fn mean_square(residual: &[[f64; 3]]) -> f64 {
-    let squares: f64 = residual.iter().flatten().map(|part| part * part).sum();
-    squares / residual.len().max(1) as f64
 }
 
 #[cfg(test)]

@@ -325,10 +325,6 @@ impl DeviationFit {
         };
         (0..self.mean.len()).map(variance).collect()
     }
-
-    fn zeros_except(&self, joint: usize) -> Vec<usize> {
-        self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
-    }
 }
 
 impl DeviationModel {
@@ -352,7 +348,7 @@ impl DeviationModel {
         columns: &DMatrix<f64>,
         of: Vec<DeviationParameter>,
     ) -> Self {
-        let every: Vec<usize> = (0..joints).collect();
+        let every = AdditionalCauses { zeros: (0..joints).collect(), ..Default::default() };
         let mut weights = linear.first_weights();
         let mut model = Self { normal: Normal::zeros(of.len()), kinds: of, joints, dof: 3.0 };
         for _ in 0..4 {
@@ -360,7 +356,7 @@ impl DeviationModel {
             model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
             model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
             model.normal.right = columns.tr_mul(&normal.right);
-            let Some(fit) = model.fit(&every, &model.uniform_sizes(1e-3)) else { break };
+            let Some(fit) = model.fit_with(&every, &model.uniform_sizes(1e-3)) else { break };
             weights = linear.weights_after((columns * &fit.mean).as_slice());
         }
         model
@@ -381,10 +377,6 @@ impl DeviationModel {
             self.kinds.iter().any(is_its)
         };
         (0..self.joints + 2).filter(move |group| has(*group))
-    }
-
-    fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
-        self.fit_with(&AdditionalCauses::zeros(zeros), sizes_m)
     }
 
     fn fit_with(&self, additional: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
@@ -571,10 +563,11 @@ impl DeviationModel {
 
     /// Started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
-        let (_, most, _) = DEVIATION_GRID_M;
-        let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.uniform_sizes(link_m)));
+        let none = AdditionalCauses::default();
+        let fit = |link_m| self.fit_with(&none, &self.uniform_sizes(link_m));
+        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(fit);
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        self.maximize_likelihood(&AdditionalCauses::default(), &best.sizes_m)
+        self.maximize_likelihood(&none, &best.sizes_m)
     }
 
     /// One fit per joint not in `zeros` or `but`.
@@ -640,8 +633,9 @@ impl DeviationModel {
             zeros[column] = Some(zero);
         }
         let confounders_of = |&joint: &usize| {
-            let instead =
-                self.with_one_more_zero(&fit.zeros_except(joint), &fit.sizes_m, &fit.zeros);
+            let others: Vec<usize> =
+                fit.zeros.iter().copied().filter(|zero| *zero != joint).collect();
+            let instead = self.with_one_more_zero(&others, &fit.sizes_m, &fit.zeros);
             let as_likely = instead.into_iter().filter(|(_, fit_with_zero)| {
                 fit_with_zero.evidence > fit.evidence - MAX_LOG_RATIO_OF_CONFOUNDER
             });
@@ -735,22 +729,19 @@ fn parameters(
             });
         }
     }
-    for own in latency..=latency + joints {
+    for own in latency..=radial_scale {
         let mut column = DVector::zeros(radial_scale + 1);
         column[own] = 1.0;
         columns.push(column);
         of.push(match own.checked_sub(latency + 1) {
             None => DeviationParameter::Unconstrained,
+            Some(joint) if joint == joints => DeviationParameter::RadialScale,
             Some(joint) => {
                 let is_rotation = kinds[joint] != JointKind::Prismatic;
                 DeviationParameter::Deviation { group: joints + 1, unit: unit(is_rotation) }
             }
         });
     }
-    let mut column = DVector::zeros(radial_scale + 1);
-    column[radial_scale] = 1.0;
-    columns.push(column);
-    of.push(DeviationParameter::RadialScale);
     (DMatrix::from_columns(&columns), of)
 }
 

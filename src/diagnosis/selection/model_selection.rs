@@ -12,7 +12,7 @@ use crate::priors::price;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
-use crate::solver::robust::{influence, sandwich};
+use crate::solver::robust::{pseudo_inverse, sandwich};
 use ground::geometry::Pose;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -210,7 +210,7 @@ impl Linearized {
         let [information, scores] = self.information_and_scores(parameters, state);
         let freed = Arc::new(FreeFit {
             parameters: parameters.to_vec(),
-            influence: influence(&information),
+            influence: pseudo_inverse(&information).0,
             covariance: sandwich(&information, &scores),
             step: self.step(parameters),
         });

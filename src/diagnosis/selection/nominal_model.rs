@@ -156,8 +156,12 @@ pub(crate) fn timing_beside_link_deviations(
 }
 
 pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
+    mean_square(residual).sqrt()
+}
+
+pub(super) fn mean_square(residual: &[[f64; 3]]) -> f64 {
     let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
-    (squares / residual.len().max(1) as f64).sqrt()
+    squares / residual.len().max(1) as f64
 }
 
 /// Maximum a posteriori changes of link frames.

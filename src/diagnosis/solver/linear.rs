@@ -304,7 +304,7 @@ impl Linear {
         let chosen = chosen(columns);
         let rows = 3 * self.kinds();
         let mut squares = Triangle::zeros(chosen.len());
-        let reaching = self.for_each_score(weights, &chosen, |_, score| {
+        let reaching = self.for_each_score(weights, &chosen, |score| {
             squares.add_squares([&score.white, &score.lasting], 1.0);
         });
         // Innovations after the last sample have no residual.
@@ -333,7 +333,7 @@ impl Linear {
     ) -> (f64, f64) {
         let chosen = chosen(columns);
         let (mut sum, mut fourth) = (0.0, 0.0);
-        self.for_each_score(weights, &chosen, |_, score| {
+        self.for_each_score(weights, &chosen, |score| {
             let along = |part: &[f64]| -> f64 {
                 part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
             };
@@ -352,11 +352,10 @@ impl Linear {
         &self,
         weights: &[Weight],
         chosen: &[(usize, usize)],
-        mut visit: impl FnMut(usize, &Score),
+        mut visit: impl FnMut(&Score),
     ) -> Vec<f64> {
         let (rows, width) = (3 * self.kinds(), chosen.len());
         let mut reaching = vec![0.0; width * rows];
-        let mut derivatives = vec![0.0; width];
         let mut score = Score { white: vec![0.0; width], lasting: vec![0.0; width] };
         for sample in 0..self.len() {
             score.white.fill(0.0);
@@ -365,23 +364,18 @@ impl Linear {
                 let weight = &weights[r / 3];
                 let Noise { share, rho, .. } = weight.noise;
                 let (row, residual) = (self.row(sample, r), self.residual(sample, r));
-                derivatives
-                    .iter_mut()
-                    .zip(chosen)
-                    .for_each(|(derivatives, &(column, _))| *derivatives = row[column]);
                 let weighted = weight.component(sample) * residual;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
                 let parts = score.white.iter_mut().zip(&mut score.lasting);
-                for (((white, lasting), reaching), derivatives) in
-                    parts.zip(reaching).zip(&derivatives)
+                for (((white, lasting), reaching), &(column, _)) in parts.zip(reaching).zip(chosen)
                 {
-                    *reaching = rho * *reaching + derivatives;
-                    *white += at_once * derivatives;
+                    *reaching = rho * *reaching + row[column];
+                    *white += at_once * row[column];
                     *lasting += later * *reaching;
                 }
             }
-            visit(sample, &score);
+            visit(&score);
         }
         reaching
     }

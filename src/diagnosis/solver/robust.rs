@@ -9,11 +9,6 @@ pub(crate) const MIN_OBSERVABLE_EIGENVALUE: f64 = 1e-9;
 /// Larger residuals are downweighted.
 const HUBER_SIGMAS: f64 = 3.0;
 
-/// Derivative of parameters by scores: `H⁻¹` over observable directions.
-pub(crate) fn influence(information: &DMatrix<f64>) -> DMatrix<f64> {
-    pseudo_inverse(information).0
-}
-
 /// Sandwich covariance `H⁻¹ S H⁻¹`. Infinite variance if unobservable.
 pub(crate) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMatrix<f64> {
     let (inverse, blind) = pseudo_inverse(information);
