@@ -34,7 +34,11 @@ impl<'a> PoseJacobian<'a> {
 
     /// Derivative with respect to one joint position.
     pub fn joint(&self, joint: usize) -> Derivative {
-        let [x, y, z, rx, ry, rz] = self.link[joint];
+        self.of_pose(self.link[joint])
+    }
+
+    /// Velocity of the pose at that of the link.
+    fn of_pose(&self, [x, y, z, rx, ry, rz]: [f64; 6]) -> Derivative {
         let angular = Vec3::new(rx, ry, rz);
         let linear = Vec3::new(x, y, z) + angular.cross(&self.lever);
         [self.reference * linear, self.reference * angular]
@@ -46,10 +50,7 @@ impl<'a> PoseJacobian<'a> {
         for (column, rate) in self.link.iter().zip(rates) {
             twist.iter_mut().zip(column).for_each(|(sum, part)| *sum += rate * part);
         }
-        let [x, y, z, rx, ry, rz] = twist;
-        let angular = Vec3::new(rx, ry, rz);
-        let linear = Vec3::new(x, y, z) + angular.cross(&self.lever);
-        [self.reference * linear, self.reference * angular]
+        self.of_pose(twist)
     }
 
     /// Derivative with respect to a change of the reference, multiplied on the left: translation along `axis` 0

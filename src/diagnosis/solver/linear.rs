@@ -16,49 +16,8 @@ pub(crate) struct Linear {
     floor: Vec<f64>,
     /// Derivatives: three rows of `width` per kind and sample.
     design: Vec<f64>,
-    /// `AᵀA` of each kind, computed on first use.
-    squares: OnceLock<Vec<Triangle>>,
-}
-
-/// Lower triangle of a symmetric matrix, by rows.
-#[derive(Clone)]
-pub(crate) struct Triangle(Vec<f64>);
-
-impl Triangle {
-    pub fn zeros(width: usize) -> Self {
-        Self(vec![0.0; width * (width + 1) / 2])
-    }
-
-    fn from_matrix(matrix: &DMatrix<f64>) -> Self {
-        let row = |i: usize| (0..=i).map(move |j| matrix[(i, j)]);
-        Self((0..matrix.nrows()).flat_map(row).collect())
-    }
-
-    /// Adds `weight · Σ vᵀv`. Skips columns in which all rows are zero.
-    pub fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
-        let mut rest = self.0.as_mut_slice();
-        for i in 0..rows[0].len() {
-            let (target, below) = rest.split_at_mut(i + 1);
-            rest = below;
-            let scaled = rows.map(|row| weight * row[i]);
-            if scaled == [0.0; N] {
-                continue;
-            }
-            let rows = rows.map(|row| &row[..target.len()]);
-            for (j, value) in target.iter_mut().enumerate() {
-                *value += (0..N).map(|n| scaled[n] * rows[n][j]).sum::<f64>();
-            }
-        }
-    }
-
-    pub fn add_scaled(&mut self, other: &Triangle, scale: f64) {
-        self.0.iter_mut().zip(&other.0).for_each(|(value, other)| *value += scale * other);
-    }
-
-    pub fn at(&self, row: usize, column: usize) -> f64 {
-        let (low, high) = (row.min(column), row.max(column));
-        self.0[high * (high + 1) / 2 + low]
-    }
+    /// Upper triangle of `AᵀA` of each kind, computed on first use.
+    squares: OnceLock<Vec<DMatrix<f64>>>,
 }
 
 pub(crate) struct Rows<'a> {
@@ -222,23 +181,23 @@ impl Linear {
         std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
     }
 
-    /// `Aᵀ W A`. Squares of the many samples with equal weight are summed once.
-    fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
+    /// Upper triangle of `Aᵀ W A`. Squares of the many samples with equal weight are summed once.
+    fn weighted_squares(&self, weights: &[Weight]) -> DMatrix<f64> {
         let of_kind = |kind: usize| {
             let mut squares = DMatrix::zeros(self.width, self.width);
             for axis in (0..3).filter(|_| self.len() > 0) {
                 let [design, transposed] = self.design_of(3 * kind + axis);
                 squares.gemm(1.0, &transposed, &design, 1.0);
             }
-            Triangle::from_matrix(&squares)
+            squares.transpose()
         };
         let squares = self.squares.get_or_init(|| (0..self.kinds()).map(of_kind).collect());
-        let mut sum = Triangle::zeros(self.width);
+        let mut sum = DMatrix::zeros(self.width, self.width);
         for (kind, (squares, weight)) in squares.iter().zip(weights).enumerate() {
             let level = weight.base_weight();
-            sum.add_scaled(squares, level);
+            sum += squares * level;
             for (sample, robust) in weight.robust.iter().enumerate().filter(|(_, w)| **w != 1.0) {
-                sum.add_squares(self.rows_of(sample, kind), level * (robust - 1.0));
+                add_squares(&mut sum, self.rows_of(sample, kind), level * (robust - 1.0));
             }
         }
         sum
@@ -262,7 +221,7 @@ impl Linear {
         for (i, &row) in columns.iter().enumerate() {
             normal.right[row] += right[i];
             for (j, &column) in columns[..=i].iter().enumerate() {
-                add_both(&mut normal.matrix, row, column, squares.at(i, j));
+                add_both(&mut normal.matrix, row, column, squares[(j, i)]);
             }
         }
         let samples = self.len() as f64;
@@ -280,7 +239,7 @@ impl Linear {
     /// `Aᵀ W A` over all parameters.
     pub fn information(&self, weights: &[Weight]) -> DMatrix<f64> {
         let squares = self.weighted_squares(weights);
-        DMatrix::from_fn(self.width, self.width, |i, j| squares.at(i, j))
+        DMatrix::from_fn(self.width, self.width, |i, j| squares[(i.min(j), i.max(j))])
     }
 
     /// Adds the two parts of a sandwich covariance (White 1980): `Aᵀ W A` to `information`, and the
@@ -303,21 +262,21 @@ impl Linear {
     ) {
         let chosen = chosen(columns);
         let rows = 3 * self.kinds();
-        let mut squares = Triangle::zeros(chosen.len());
+        let mut squares = DMatrix::zeros(chosen.len(), chosen.len());
         let reaching = self.for_each_score(weights, &chosen, |score| {
-            squares.add_squares([&score.white, &score.lasting], 1.0);
+            add_squares(&mut squares, [&score.white, &score.lasting], 1.0);
         });
         // Innovations after the last sample have no residual.
         for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
             let Noise { sigma, share, rho } = weights[r / 3].noise;
             let lasting = share * (rho * sigma * weights[r / 3].base_weight()).powi(2);
-            squares.add_squares([reaching], lasting);
+            add_squares(&mut squares, [reaching], lasting);
         }
         let seen = self.weighted_squares(weights);
         for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
             for (b, &(own_b, target_b)) in chosen[..=a].iter().enumerate() {
-                add_both(information, target_a, target_b, seen.at(own_a, own_b));
-                add_both(scores, target_a, target_b, squares.at(a, b));
+                add_both(information, target_a, target_b, seen[(own_b, own_a)]);
+                add_both(scores, target_a, target_b, squares[(b, a)]);
             }
         }
     }
@@ -390,6 +349,21 @@ fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
 struct Score {
     white: Vec<f64>,
     lasting: Vec<f64>,
+}
+
+/// Adds `weight · Σ vᵀv` to an upper triangle. Skips columns in which all rows are zero.
+fn add_squares<const N: usize>(triangle: &mut DMatrix<f64>, rows: [&[f64]; N], weight: f64) {
+    let width = triangle.nrows().max(1);
+    for (i, column) in triangle.as_mut_slice().chunks_exact_mut(width).enumerate() {
+        let scaled = rows.map(|row| weight * row[i]);
+        if scaled == [0.0; N] {
+            continue;
+        }
+        let rows = rows.map(|row| &row[..=i]);
+        for (j, value) in column[..=i].iter_mut().enumerate() {
+            *value += (0..N).map(|n| scaled[n] * rows[n][j]).sum::<f64>();
+        }
+    }
 }
 
 fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
