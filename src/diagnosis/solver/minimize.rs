@@ -9,8 +9,8 @@ const MIN_DAMPING: f64 = 1e-6;
 
 /// Problem linearised about a state.
 pub(crate) struct NormalEquations {
-    /// Lower triangle of `AᵀA`, by rows.
-    triangle: Vec<f64>,
+    /// Upper triangle of `AᵀA`.
+    triangle: DMatrix<f64>,
     /// `Aᵀr`.
     right: DVector<f64>,
     /// `rᵀr`.
@@ -27,26 +27,24 @@ impl NormalEquations {
         cost: f64,
     ) -> Self {
         let right = DVector::from_vec(right.into_iter().collect());
-        let rows = (0..right.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-        let triangle = rows.map(|(i, j)| matrix(i, j)).collect();
+        let at = |j: usize, i: usize| if j <= i { matrix(i, j) } else { 0.0 };
+        let triangle = DMatrix::from_fn(right.len(), right.len(), at);
         Self { triangle, rows: Default::default(), right, cost }
     }
 
     /// Equations without residuals.
     pub fn zeros(width: usize) -> Self {
-        let triangle = vec![0.0; width * (width + 1) / 2];
+        let triangle = DMatrix::zeros(width, width);
         Self { triangle, right: DVector::zeros(width), cost: 0.0, rows: Default::default() }
     }
 
     /// Adds one residual with its derivatives.
     pub fn add(&mut self, derivatives: &[f64], residual: f64) {
-        let mut rest = self.triangle.as_mut_slice();
-        for (i, a) in derivatives.iter().enumerate() {
-            let (row, after) = rest.split_at_mut(i + 1);
-            rest = after;
+        let columns = self.triangle.as_mut_slice().chunks_exact_mut(self.right.len().max(1));
+        for (i, (column, a)) in columns.zip(derivatives).enumerate() {
             if *a != 0.0 {
                 self.right[i] += a * residual;
-                row.iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
+                column[..=i].iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
             }
         }
         self.cost += residual * residual;
@@ -54,16 +52,14 @@ impl NormalEquations {
 
     /// Adds three residuals, in one pass over the sums.
     fn add_three(&mut self, [x, y, z]: [&[f64]; 3], residuals: [f64; 3]) {
-        let mut rest = self.triangle.as_mut_slice();
-        for (i, ((a, b), c)) in x.iter().zip(y).zip(z).enumerate() {
-            let (row, after) = rest.split_at_mut(i + 1);
-            rest = after;
+        let columns = self.triangle.as_mut_slice().chunks_exact_mut(self.right.len().max(1));
+        for (i, (column, ((a, b), c))) in columns.zip(x.iter().zip(y).zip(z)).enumerate() {
             if *a == 0.0 && *b == 0.0 && *c == 0.0 {
                 continue;
             }
             let right = &mut self.right[i];
             *right = *right + a * residuals[0] + b * residuals[1] + c * residuals[2];
-            for (((sum, x), y), z) in row.iter_mut().zip(x).zip(y).zip(z) {
+            for (((sum, x), y), z) in column[..=i].iter_mut().zip(x).zip(y).zip(z) {
                 *sum = *sum + a * x + b * y + c * z;
             }
         }
@@ -109,11 +105,9 @@ impl NormalEquations {
         damping: f64,
     ) -> Option<DVector<f64>> {
         let width = parameters.len();
-        let mut matrix = DMatrix::zeros(width, width);
-        for (i, &row) in parameters.iter().enumerate() {
-            for (j, &column) in parameters[..=i].iter().enumerate() {
-                matrix[(i, j)] = self.triangle[row * (row + 1) / 2 + column];
-            }
+        let at = |i: usize, j: usize| self.triangle[(parameters[i.min(j)], parameters[i.max(j)])];
+        let mut matrix = DMatrix::from_fn(width, width, at);
+        for i in 0..width {
             matrix[(i, i)] += damping * matrix[(i, i)] + f64::MIN_POSITIVE;
         }
         matrix.cholesky().map(|cholesky| cholesky.solve(right))
