@@ -254,13 +254,10 @@ impl StreamFit<'_> {
         if let Some(lags) = aliases(self.decoded, model, self.index) {
             return (Err(NotObservable::Periodic(lags)), None);
         }
-        let fitted = match self.timing() {
-            Some(timing) => Ok(timing.latency_s),
-            None => self.estimate(Cause::Latency(self.index)),
-        };
-        let fitted = match fitted {
-            Ok(latency) => latency,
-            Err(why) => return (Err(why), None),
+        let fitted = match (self.timing(), self.estimate(Cause::Latency(self.index))) {
+            (Some(timing), _) => timing.latency_s,
+            (None, Ok(latency)) => latency,
+            (None, Err(why)) => return (Err(why), None),
         };
         let delays = estimate_delay_jitter(aligned, model.state.streams[self.index].latency_s);
         let latency = delays.as_ref().map_or(fitted, |delays| delays.median_s);

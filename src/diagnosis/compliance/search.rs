@@ -132,9 +132,7 @@ impl<'a> ComplianceSearch<'a> {
                     let q = |row: usize| joints.q[row * joints.dof + term.column];
                     crossing.link_offsets(joints.len(), q, width)
                 }
-                ComplianceKind::Sag
-                | ComplianceKind::LoadedSag(_)
-                | ComplianceKind::Eccentric(_) => Vec::new(),
+                _ => Vec::new(),
             })
             .collect();
         let of_stream = |(samples, torques): (&StreamSamples, &Vec<Vec<f64>>)| {

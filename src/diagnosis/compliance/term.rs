@@ -31,22 +31,19 @@ impl ComplianceTerm {
 
     /// Number of coefficients.
     pub fn width(&self) -> usize {
-        if matches!(self.kind, ComplianceKind::Eccentric(_) | ComplianceKind::LoadedSag(_)) {
-            2
-        } else {
-            1
+        match self.kind {
+            ComplianceKind::Backlash(_) | ComplianceKind::Sag => 1,
+            ComplianceKind::LoadedSag(_) | ComplianceKind::Eccentric(_) => 2,
         }
     }
 
     /// Size in rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
+        let [first, second] = self.amount;
         match self.kind {
-            ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
-            ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
-                self.amount[1]
-            }
-            ComplianceKind::LoadedSag(_) => self.amount[0],
-            ComplianceKind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
+            ComplianceKind::Eccentric(_) => first.hypot(second),
+            _ if second.abs() > first.abs() => second,
+            _ => first,
         }
     }
 

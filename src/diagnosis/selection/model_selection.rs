@@ -350,15 +350,12 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         linear.cost(&parameters) + price * optional as f64
     };
-    let mut best = CauseSet { score: score_of(&[]), causes: Vec::new() };
+    let scored = |causes: Vec<Cause>| CauseSet { score: score_of(&causes), causes };
+    let mut best = scored(Vec::new());
     // Lower bound on the cost of any set.
     let min_cost = linear.cost(&parameters_of(&candidates.all(), state));
     let mut set = Vec::new();
-    let depth = if candidates.optional.len() > 16 {
-        MAX_EXHAUSTIVE_CAUSES - 1
-    } else {
-        MAX_EXHAUSTIVE_CAUSES
-    };
+    let depth = MAX_EXHAUSTIVE_CAUSES - usize::from(candidates.optional.len() > 16);
     subsets(&candidates.optional, depth, &mut set, &mut |set| {
         let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         if min_cost + price * parameters as f64 >= best.score {
@@ -375,13 +372,10 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
             .optional
             .iter()
             .filter(|cause| !best.causes.contains(cause))
-            .map(|&cause| {
-                let causes: Vec<Cause> = best.causes.iter().copied().chain([cause]).collect();
-                CauseSet { score: score_of(&causes), causes }
-            })
+            .map(|&cause| scored(best.causes.iter().copied().chain([cause]).collect()))
             .min_by(|a, b| a.score.total_cmp(&b.score));
         match grown {
-            Some(grown) if grown.score < best.score => best = prune(grown, &score_of),
+            Some(grown) if grown.score < best.score => best = prune(grown, &scored),
             _ => break,
         }
     }
@@ -416,13 +410,13 @@ fn is_collinear(
     linear.normal.separation_given(&unknown, &others) < MIN_CAUSE_SEPARATION
 }
 
-fn prune(mut set: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
+fn prune(mut set: CauseSet, scored: &dyn Fn(Vec<Cause>) -> CauseSet) -> CauseSet {
     loop {
         let shrunk = (0..set.causes.len())
             .map(|drop| {
                 let mut causes = set.causes.clone();
                 causes.remove(drop);
-                CauseSet { score: score_of(&causes), causes }
+                scored(causes)
             })
             .min_by(|a, b| a.score.total_cmp(&b.score));
         match shrunk {

@@ -22,8 +22,7 @@ impl Basis {
     fn len(&self) -> usize {
         match self {
             Self::Steps(times_s) => times_s.len() + 1,
-            Self::Line(_) => 2,
-            Self::Ramp(_) => 2,
+            Self::Line(_) | Self::Ramp(_) => 2,
             Self::Spline(times_s) => times_s.len(),
             Self::Load(..) => 3,
         }

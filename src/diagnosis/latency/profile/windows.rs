@@ -93,11 +93,7 @@ impl Window {
 
     /// The same with a constant latency.
     pub fn as_one_bin(&self) -> Self {
-        Self::from_measured(self.t_s, self.latency_s)
-    }
-
-    /// A window with this latency.
-    pub fn from_measured(t_s: f64, latency_s: Measured) -> Self {
+        let Self { t_s, latency_s, .. } = *self;
         let (squared_velocity, value) = (latency_s.std_error.powi(-2), latency_s.value);
         let product = -value * squared_velocity;
         let (loads, velocity) = ([0.0; 2], [0.0; 6]);
