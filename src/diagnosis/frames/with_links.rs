@@ -33,15 +33,12 @@ pub(crate) fn frames_with_links(
         let step = &covariance * &normal.right;
         let dof = (normal.independent - linear.width as f64).max(3.0);
         let estimate = |(frame, is_free): (Frame, bool)| {
-            let before = match frame {
-                Frame::Reference => &found.reference,
-                Frame::Tool => &found.tool,
+            let centre = Pose::from_parts(columns.centre.into(), Default::default());
+            let (before, about) = match frame {
+                Frame::Reference => (&found.reference, centre),
+                Frame::Tool => (&found.tool, Pose::identity()),
             };
             let before = before.as_ref().ok().filter(|_| is_free)?;
-            let about = match frame {
-                Frame::Reference => Pose::from_parts(columns.centre.into(), Default::default()),
-                Frame::Tool => Pose::identity(),
-            };
             let twist: [f64; 6] = std::array::from_fn(|i| step[frame.columns().start + i]);
             let moved = about * pose_of_twist(&twist) * about.inverse();
             // The reported reference is the inverse of what maps base coordinates to the stream's.
