@@ -11,7 +11,8 @@ use ground::geometry::Pose;
 /// Of a fit by a tool, relative to one by the base. Noise of the joint positions rotates a tool, and shifts its tip.
 const MAX_NOISE_RATIO: f64 = 1.5;
 
-/// Replaces each tuned reference by a tool if that fits as well with link deviations. `offsets` has only the joint zeros too large for link deviations.
+/// Replaces each tuned reference by a tool if that fits as well with link deviations. `offsets` has only the joint zeros too
+/// large for link deviations.
 pub(crate) fn prefer_tool_frames(
     observations: &[&PoseObservations],
     mut model: SelectedModel,
