@@ -31,11 +31,8 @@ pub(super) fn align(
     let zero = vec![0.0; recorded.dof];
     let (mut sweep, mut truth_sweep) =
         (PredictionBuffers::new(&as_recorded), PredictionBuffers::new(observations));
-    let truth_state = StreamState {
-        latency_s: stream_state.latency_s,
-        skew: stream_state.skew,
-        ..StreamState::default()
-    };
+    let StreamState { latency_s, skew, .. } = *stream_state;
+    let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
     let mut aligned = AlignedSamples::default();
     let mut source = 0;
     for k in 0..observations.len() {

@@ -39,10 +39,7 @@ pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
                 Cause::Zero(joint) => Some(Confounder::JointZero(joint, effects[0])),
                 Cause::Reference(s) => Some(Confounder::Reference(s, frame_size(&effects))),
                 Cause::Tool(s) => Some(Confounder::Tool(s, frame_size(&effects))),
-                Cause::JointScale(_)
-                | Cause::Latency(_)
-                | Cause::Skew(_)
-                | Cause::RadialScale(_) => None,
+                _ => None,
             }
         })
         .collect()

@@ -34,12 +34,9 @@ pub(super) fn joint_offsets(
 ) -> Vec<JointOffset> {
     let ArmFit { model, candidates, .. } = fitted;
     let moved = moved_joints(joints);
-    let zeros: Vec<Cause> = candidates
-        .optional
-        .iter()
-        .copied()
-        .filter(|cause| matches!(cause, Cause::Zero(_)))
-        .collect();
+    let several_moved = moved.iter().filter(|moved| **moved).count() > 1;
+    let is_zero = |cause: &Cause| matches!(cause, Cause::Zero(_));
+    let zeros: Vec<Cause> = candidates.optional.iter().copied().filter(is_zero).collect();
     let levers_m = levers_m(decoded, joints.dof);
     let all_zeros: Vec<Cause> = model.causes.iter().copied().chain(zeros.iter().copied()).collect();
     (0..joints.dof)
@@ -53,17 +50,14 @@ pub(super) fn joint_offsets(
                 && held_out_residual.is_none_or(|residual| residual.is_lower()))
                 || deviation_confounders.is_some();
             let deviation_zero = deviations.map(|deviations| deviations.zeros[joint]);
-            let offset = if let Some(zero) = deviation_zero {
-                zero.ok_or(NotObservable::NominalKinematics)
-            } else if !zeros.contains(&cause) {
-                Err(NotObservable::NotExcited)
-            } else if chosen {
-                measured(fitted, &model.causes, cause, 0)
-                    .map(|zero| beside_links.widen(cause, zero))
-            } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
-                Err(NotObservable::NotExcited)
-            } else {
-                measured(fitted, &all_zeros, cause, 0).map(|zero| beside_links.widen(cause, zero))
+            let is_excited = zeros.contains(&cause) && (chosen || (moved[joint] && several_moved));
+            let causes = if chosen { &model.causes } else { &all_zeros };
+            let offset = match deviation_zero {
+                Some(zero) => zero.ok_or(NotObservable::NominalKinematics),
+                None if is_excited => {
+                    measured(fitted, causes, cause, 0).map(|zero| beside_links.widen(cause, zero))
+                }
+                None => Err(NotObservable::NotExcited),
             };
             let mut all_confounders =
                 if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
@@ -76,12 +70,9 @@ pub(super) fn joint_offsets(
                 all_confounders.extend(of_frame.filter(is_new));
             }
             let is_slide = is_prismatic(decoded, joint);
-            let within_a_turn = |offset: Measured| match is_slide {
-                true => offset,
-                false => {
-                    Measured { value: offset.value - TAU * half_turns(offset.value), ..offset }
-                }
-            };
+            let turns = |value: f64| if is_slide { 0.0 } else { TAU * half_turns(value) };
+            let within_a_turn =
+                |offset: Measured| Measured { value: offset.value - turns(offset.value), ..offset };
             let offset = offset.map(within_a_turn);
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
             let chord = if is_slide { amount } else { 2.0 * (0.5 * amount).sin() };

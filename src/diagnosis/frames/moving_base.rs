@@ -103,17 +103,13 @@ fn lag_with_stamps(
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
         || min_cost > MAX_RESIDUAL_RATIO * min_cost_together;
-    let late = match is_on_time {
-        true => None,
-        false => difference_of_lags([lag_s, latency_s], &tool_offsets),
+    let late = || difference_of_lags([lag_s, latency_s], &tool_offsets);
+    let transform_latency_s = (!is_on_time).then(late).flatten();
+    let (latency_s, min_cost) = match transform_latency_s {
+        None => (together, min_cost_together),
+        Some(_) => (latency_s, min_cost),
     };
-    Some(match late {
-        None => {
-            let lag = MovingBaseLag { latency_s: together, transform_latency_s: None };
-            (lag, min_cost_together)
-        }
-        late => (MovingBaseLag { latency_s, transform_latency_s: late }, min_cost),
-    })
+    Some((MovingBaseLag { latency_s, transform_latency_s }, min_cost))
 }
 
 /// Lags to try, s.

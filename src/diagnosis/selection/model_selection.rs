@@ -622,12 +622,8 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
     let inflations: Vec<f64> =
         quietest.into_iter().flatten().map(|noise| noise.inflation().min(MAX_INFLATION)).collect();
     let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
-        let kinds = noise.len() / model.linear.streams.len().max(1);
-        let samples = model
-            .linear
-            .streams
-            .iter()
-            .flat_map(|stream| std::iter::repeat_n(3.0 * stream.len() as f64, kinds));
+        let streams = model.linear.streams.iter();
+        let samples = streams.flat_map(|stream| [3.0 * stream.len() as f64; 2]);
         let fit: f64 = samples
             .zip(noise.iter().zip(&inflations))
             .map(|(n, (noise, inflation))| 2.0 * n / inflation * noise.sigma.ln())
