@@ -8,7 +8,7 @@ use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::Matrix6;
 
 /// Errors of zeros, radial scales and frames. The selected causes are free; a zero or radial scale that is not selected is
 /// free as well, together with all zeros. Excludes zeros that were fitted with link deviations.
@@ -86,8 +86,7 @@ impl BesideLinks {
         by_twist.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
         let covariance = by_twist * of_twist * by_twist.transpose();
         let widen = |measured: Measured, vector: Vec3, at: usize| {
-            let own = covariance.fixed_view::<3, 3>(at, at).into_owned();
-            let own = DMatrix::from_column_slice(3, 3, own.as_slice());
+            let own = covariance.view((at, at), (3, 3)).into_owned();
             let beside = MeasuredLength::estimate(vector.as_slice(), &own, measured.dof).norm;
             Measured { std_error: measured.std_error.max(beside.std_error), ..measured }
         };

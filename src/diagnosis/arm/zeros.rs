@@ -33,7 +33,8 @@ pub(super) fn joint_offsets(
     beside_links: &BesideLinks,
 ) -> Vec<JointOffset> {
     let ArmFit { model, candidates, .. } = fitted;
-    let moved = moved_joints(joints);
+    // By more than 3° (or 50 mm).
+    let moved: Vec<bool> = (0..joints.dof).map(|joint| travel(joints, joint) > 0.05).collect();
     let several_moved = moved.iter().filter(|moved| **moved).count() > 1;
     let is_zero = |cause: &Cause| matches!(cause, Cause::Zero(_));
     let zeros: Vec<Cause> = candidates.optional.iter().copied().filter(is_zero).collect();
@@ -144,11 +145,6 @@ pub(super) fn joint_couplings(fitted: &ArmFit, corrected: &CorrectedJoints) -> V
 /// Entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
 fn gain(fitted: &ArmFit, corrected: &CorrectedJoints, at: usize) -> Option<Measured> {
     measured(fitted, &fitted.model.causes, Cause::JointScale(corrected.track.dof + at), 0).ok()
-}
-
-/// Joints that move by more than 3° (or 50 mm).
-fn moved_joints(joints: &JointTrack) -> Vec<bool> {
-    (0..joints.dof).map(|joint| travel(joints, joint) > 0.05).collect()
 }
 
 /// Largest distance of each joint's axis from the tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton

@@ -39,7 +39,8 @@ impl FkColumns {
     /// Like [`FkColumns::fit_rigid`]. The rotation about collinear positions is arbitrary.
     pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
         self.fit_rigid(xyz).unwrap_or_else(|| {
-            let reference = rigid_transform_from(&self.xyz, xyz, &products(&self.xyz, xyz));
+            let turn = rotation_by_wahba(&products(&self.xyz, xyz));
+            let reference = pose((mean(xyz) - turn * mean(&self.xyz)).into(), turn);
             (reference, self.tool(xyz, &reference))
         })
     }
@@ -85,7 +86,7 @@ impl FkColumns {
     /// several metres.
     fn fit_rigid_iterations(&self, xyz: &[Vec3], steps: usize) -> Option<(Pose, Vec3)> {
         const MIN_GAIN: f64 = 1e-9;
-        let start = (rigid_transform(&self.xyz, xyz)?.rotation, Vec3::zeros());
+        let start = (rotation_by_wahba(&correlation(&self.xyz, xyz)?), Vec3::zeros());
         let limits = Limits { steps, min_gain: MIN_GAIN };
         let fit = PositionFit { fk: self, xyz };
         let (_, (rotation, tool)) = minimize(&fit, start, limits)?;
@@ -162,15 +163,8 @@ impl LeastSquares for PositionFit<'_> {
     }
 }
 
-/// `None` if collinear.
-fn rigid_transform(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
-    Some(rigid_transform_from(from, to, &correlation(from, to)?))
-}
-
-fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
-    let turn = rotation_by_wahba(correlation);
-    let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
-    pose((mean(to) - turn * mean(from)).into(), turn)
+fn mean(points: &[Vec3]) -> Vec3 {
+    points.iter().sum::<Vec3>() / points.len().max(1) as f64
 }
 
 /// Best rotation about the means, with a reflection if `sign` is −1. `None` if collinear.
@@ -183,8 +177,7 @@ pub(crate) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Ma
 
 /// `Σ to·fromᵀ` about the means.
 fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
-    let n = from.len().max(1) as f64;
-    let (centre, target) = (from.iter().sum::<Vec3>() / n, to.iter().sum::<Vec3>() / n);
+    let (centre, target) = (mean(from), mean(to));
     let both = from.iter().zip(to);
     both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
 }
@@ -200,7 +193,7 @@ fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
 
 /// Rms distance from the mean.
 pub(crate) fn spread(points: &[Vec3]) -> f64 {
-    let mean = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    let mean = mean(points);
     let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
     (squares / points.len().max(1) as f64).sqrt()
 }
