@@ -64,7 +64,7 @@ pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder
             let own: Vec<f64> = parameters.iter().map(|&p| values[p]).collect();
             parameters.extend(cause.parameters(state));
             parameters.sort_unstable();
-            let same = linear.normal.separation(&parameters) < MIN_CAUSE_SEPARATION;
+            let same = linear.normal.separation(&[], &parameters) < MIN_CAUSE_SEPARATION;
             match frame {
                 Cause::Reference(s) if same => Some(Confounder::Reference(s, frame_size(&own))),
                 Cause::Tool(s) if same => Some(Confounder::Tool(s, frame_size(&own))),

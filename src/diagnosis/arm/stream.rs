@@ -347,7 +347,7 @@ fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
         both.sort_unstable();
         *other != cause
             && candidates.optional.contains(other)
-            && model.linear.normal.separation(&both) < MIN_CAUSE_SEPARATION
+            && model.linear.normal.separation(&[], &both) < MIN_CAUSE_SEPARATION
     };
     nearby_causes.iter().any(makes_up)
 }

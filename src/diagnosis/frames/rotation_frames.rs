@@ -113,8 +113,8 @@ pub(crate) fn fit_both_frames(
     candidates: &CandidateRotations,
     fk: &[Rotation],
 ) -> (Rotation, Rotation) {
-    let first = (0..fk.len()).map(|sample| candidates.of_sample(sample).first().copied()).collect();
-    let mut chosen: Vec<Option<Rotation>> = first;
+    let first = |sample: usize| candidates.of_sample(sample).first().copied();
+    let mut chosen: Vec<Option<Rotation>> = (0..fk.len()).map(first).collect();
     let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());
     for round in 0..3 {
         if round > 0 {

@@ -102,18 +102,15 @@ impl<'a> CauseColumns<'a> {
         let centre = sum / aligned.fk_at_truth.len().max(1) as f64;
         let has_joints = !chain.is_floating() && !aligned.q_at_truth.is_empty();
         let joints = if has_joints { chain.dof() } else { 0 };
-        let links = joints.saturating_sub(1);
         let axes = chain.joint_axes();
-        let zero_as_tool = if has_joints { zero_as_tool(chain, &axes) } else { [0.0; 6] };
-        let has_rotation = diagnosis.encoding.is_ok();
         Self {
             aligned,
             chain,
             joints,
-            links,
+            links: joints.saturating_sub(1),
+            zero_as_tool: if has_joints { zero_as_tool(chain, &axes) } else { [0.0; 6] },
             axes,
-            zero_as_tool,
-            has_rotation,
+            has_rotation: diagnosis.encoding.is_ok(),
             centre,
             has_free_zeros: false,
         }

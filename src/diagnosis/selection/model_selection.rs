@@ -407,7 +407,7 @@ fn is_collinear(
     let known = candidates.always.iter().chain(&candidates.optional);
     let unknown = parameters(known.filter(is_unknown).collect());
     let others = parameters(causes.iter().filter(|cause| !is_unknown(cause)).collect());
-    linear.normal.separation_given(&unknown, &others) < MIN_CAUSE_SEPARATION
+    linear.normal.separation(&unknown, &others) < MIN_CAUSE_SEPARATION
 }
 
 fn prune(mut set: CauseSet, scored: &dyn Fn(Vec<Cause>) -> CauseSet) -> CauseSet {

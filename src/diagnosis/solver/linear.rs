@@ -472,14 +472,8 @@ impl Normal {
         }
     }
 
-    /// Minimum share of a parameter's effect that the preceding ones do not explain.
-    pub fn separation(&self, parameters: &[usize]) -> f64 {
-        let cholesky = self.scaled(parameters).0.cholesky();
-        cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
-    }
-
-    /// Same, if `given` also precede.
-    pub fn separation_given(&self, given: &[usize], parameters: &[usize]) -> f64 {
+    /// Minimum share of a parameter's effect that `given` and the preceding ones do not explain.
+    pub fn separation(&self, given: &[usize], parameters: &[usize]) -> f64 {
         let all = [given, parameters].concat();
         let cholesky = self.scaled(&all).0.cholesky();
         let share = |cholesky: nalgebra::Cholesky<f64, Dyn>| {
