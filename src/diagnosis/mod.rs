@@ -520,12 +520,10 @@ impl FrameCorrection {
 impl PoseDiagnosis {
     /// Whether the stream has a change point.
     pub fn has_changes(&self) -> bool {
-        let Self { reference_changes, tool_changes, radial_scale_changes, encoding_spans, .. } =
-            self;
-        let has_frame_change = !reference_changes.is_empty() || !tool_changes.is_empty();
-        has_frame_change
-            || !radial_scale_changes.is_empty()
-            || *encoding_spans != EncodingSpans::default()
+        !self.reference_changes.is_empty()
+            || !self.tool_changes.is_empty()
+            || !self.radial_scale_changes.is_empty()
+            || self.encoding_spans != EncodingSpans::default()
     }
 
     /// Why the stream is unusable. Positions may be usable without orientations.

@@ -229,12 +229,13 @@ impl LatencySteps {
     pub fn profile(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
         /// For merging a remaining jump with a step.
         const MAX_MERGE_DISTANCE_S: f64 = 2.0;
+        let coarse =
+            |value: f64| Measured { value, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
         let fine = found.as_ref().ok();
-        let begins: Vec<f64> = self
-            .levels
-            .iter()
-            .map(|level| level.from_s - (level.lag_s - self.retained_lag_s()))
-            .collect();
+        let levels = self.levels.iter();
+        let levels: Vec<(f64, f64)> =
+            levels.map(|level| (level.from_s, level.lag_s - self.retained_lag_s())).collect();
+        let begins: Vec<f64> = levels.iter().map(|(from_s, lag_s)| from_s - lag_s).collect();
         let level = |index: usize| {
             let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
             let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
@@ -250,11 +251,7 @@ impl LatencySteps {
                         std_error: before.std_error.hypot(after.std_error),
                         dof: before.dof + after.dof,
                     },
-                    _ => Measured {
-                        value: coarse_s,
-                        std_error: COARSE_STD_ERROR_S,
-                        dof: f64::INFINITY,
-                    },
+                    _ => coarse(coarse_s),
                 };
                 LatencyStep { at_s, size_s }
             })
@@ -265,17 +262,12 @@ impl LatencySteps {
         let fine_steps = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
         jumps.extend(fine_steps.iter().filter(is_near_step));
         jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let none = Measured { value: 0.0, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
         LatencyProfile {
-            swing_s: largest(&jumps).unwrap_or(none),
+            swing_s: largest(&jumps).unwrap_or(coarse(0.0)),
             is_unsteady: true,
             shape: LatencyShape::Steps,
             skew: 0.0,
-            levels: self
-                .levels
-                .iter()
-                .map(|level| (level.from_s, level.lag_s - self.retained_lag_s()))
-                .collect(),
+            levels,
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
             parameters: 2 * jumps.len(),
             steps: jumps,
