@@ -148,18 +148,11 @@ fn fit_with_link_deviations(
     let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
     let is_open = with_offsets && has_links && allows_link_deviations(&model);
-    let deviations = if is_open {
-        estimate_link_deviations(
-            observations[largest_stream],
-            &plain[largest_stream],
-            &large_offsets,
-        )
-    } else {
-        None
-    };
-    let offsets = deviations
-        .as_ref()
-        .map_or_else(|| large_offsets.clone(), |it| it.with_zeros(&large_offsets));
+    let (largest, largest_plain) = (observations[largest_stream], &plain[largest_stream]);
+    let estimated = || estimate_link_deviations(largest, largest_plain, &large_offsets);
+    let deviations = is_open.then(estimated).flatten();
+    let with_zeros = deviations.as_ref().map(|it| it.with_zeros(&large_offsets));
+    let offsets = with_zeros.unwrap_or(large_offsets);
     let is_retained = |cause: &Cause| match *cause {
         Cause::Zero(joint) => offsets[joint] != 0.0,
         Cause::RadialScale(s) => plain[s].radial_scale != 0.0,
@@ -469,15 +462,11 @@ fn best_start(
     /// Smaller lags lead to the same model as none.
     const MIN_LAG_PERIODS: f64 = 0.1;
     let best_lag = decoded.peaks.first().map_or(0.0, |peak| peak.correlation);
-    let lags: Vec<f64> = if decoded.moves {
-        let min_lag_s = MIN_LAG_PERIODS * median_period_s(&decoded.observations.t_s);
-        let is_strong = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
-        let strong = decoded.peaks.iter().filter(is_strong).take(3).map(|peak| peak.lag_s);
-        // Streams that copy the joints' stamps have zero latency, a narrow minimum.
-        strong.filter(|lag_s| lag_s.abs() > min_lag_s).chain([0.0]).collect()
-    } else {
-        vec![0.0]
-    };
+    let min_lag_s = MIN_LAG_PERIODS * median_period_s(&decoded.observations.t_s);
+    let is_strong = |peak: &&LagPeak| decoded.moves && peak.correlation > best_lag - 0.1;
+    let strong = decoded.peaks.iter().filter(is_strong).take(3).map(|peak| peak.lag_s);
+    // Streams that copy the joints' stamps have zero latency, a narrow minimum.
+    let lags: Vec<f64> = strong.filter(|lag_s| lag_s.abs() > min_lag_s).chain([0.0]).collect();
     let start = |offsets: &[f64], stream: StreamState| State {
         offsets: offsets.to_vec(),
         streams: vec![stream],

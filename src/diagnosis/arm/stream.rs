@@ -367,7 +367,7 @@ fn aliases(decoded: &DecodedStream, model: &SelectedModel, index: usize) -> Opti
     };
     let (best, _) = at(stream_state.latency_s);
     let min_separation_s = 4.0 * median_period_s(&observations.t_s).max(0.02);
-    let other_lags_s: Vec<f64> = decoded
+    let mut lags: Vec<f64> = decoded
         .peaks
         .iter()
         .take(6)
@@ -381,11 +381,10 @@ fn aliases(decoded: &DecodedStream, model: &SelectedModel, index: usize) -> Opti
                 .then_some(converged_s)
         })
         .collect();
-    if other_lags_s.is_empty() {
+    if lags.is_empty() {
         return None;
     }
-    let mut lags = vec![stream_state.latency_s];
-    lags.extend(other_lags_s);
+    lags.push(stream_state.latency_s);
     lags.sort_by(f64::total_cmp);
     lags.dedup_by(|a, b| (*a - *b).abs() < min_separation_s);
     Some(lags)
