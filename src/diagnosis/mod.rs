@@ -526,6 +526,12 @@ impl PoseDiagnosis {
             || self.encoding_spans != EncodingSpans::default()
     }
 
+    /// Residual of a stream that follows the arm.
+    fn followed_residual(&self) -> Option<&StreamResidual> {
+        let follows = !matches!(self.encoding, Err(NotObservable::DoesNotFollow(_)));
+        self.residual.as_ref().ok().filter(|_| follows)
+    }
+
     /// Why the stream is unusable. Positions may be usable without orientations.
     pub fn unusable_reason(&self) -> Option<&NotObservable> {
         self.encoding.as_ref().err().filter(|_| self.residual.is_err())

@@ -510,12 +510,10 @@ impl ArmDiagnosis {
 
     /// Residual relative to the motion, so it does not depend on the unit of the reference.
     fn relative_residual(&self) -> f64 {
-        let of_stream = |stream: &PoseDiagnosis| match (&stream.residual, &stream.encoding) {
-            (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
-            (Ok(residual), _) => {
-                let length = residual.rms_m / stream.extent_m().max(f64::MIN_POSITIVE);
-                length.hypot(residual.rms_rad).min(1.0)
-            }
+        let of_stream = |stream: &PoseDiagnosis| {
+            let Some(residual) = stream.followed_residual() else { return 1.0 };
+            let length = residual.rms_m / stream.extent_m().max(f64::MIN_POSITIVE);
+            length.hypot(residual.rms_rad).min(1.0)
         };
         self.streams.iter().map(of_stream).sum()
     }

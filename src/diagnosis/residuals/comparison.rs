@@ -3,7 +3,9 @@
 use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::Noise;
-use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream};
+use crate::{
+    AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
+};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::Point3;
@@ -49,10 +51,7 @@ pub(crate) fn residual_of_shares_m(diagnosis: &ArmDiagnosis, shares: &[f64]) -> 
 }
 
 fn stream_residual_m(diagnosis: &PoseDiagnosis) -> f64 {
-    match (&diagnosis.residual, &diagnosis.encoding) {
-        (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
-        (Ok(residual), _) => residual.combined_m(),
-    }
+    diagnosis.followed_residual().map_or(1.0, StreamResidual::combined_m)
 }
 
 /// Whether the residual exceeds the noise, or its mean in some segment does.

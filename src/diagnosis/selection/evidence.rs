@@ -10,7 +10,7 @@ use crate::residuals::comparison::residual_vectors;
 use crate::solver::noise::Noise;
 use crate::{
     ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointChange,
-    JointCompliance, JointDiagnosis, NotObservable, PoseDiagnosis,
+    JointCompliance, JointDiagnosis, PoseDiagnosis,
 };
 
 /// Residual of a stream that does not follow the arm, m and rad.
@@ -53,8 +53,7 @@ fn log_likelihood_ratio(one: &ArmDiagnosis, other: &ArmDiagnosis) -> (f64, f64) 
 
 /// Numbers of samples, and noise of positions, m, and rotations, rad, including link deviations of this size.
 fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
-    let does_not_follow =
-        stream.residual.is_err() || matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)));
+    let follows = stream.followed_residual().is_some();
     let [positions, rotations] = residual_vectors(stream);
     let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
         let mut noise = Noise::estimate(&residuals, &vec![1.0; residuals.len()], 0.0);
@@ -62,8 +61,8 @@ fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
         (residuals.len(), noise)
     };
     [
-        noise(positions, link_m, !does_not_follow),
-        noise(rotations, RAD_PER_M * link_m, !does_not_follow && stream.encoding.is_ok()),
+        noise(positions, link_m, follows),
+        noise(rotations, RAD_PER_M * link_m, follows && stream.encoding.is_ok()),
     ]
 }
 
