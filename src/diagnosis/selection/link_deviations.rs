@@ -23,7 +23,7 @@ use crate::priors::{
     MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
     RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
 };
-use crate::solver::linear::{Linear, Normal};
+use crate::solver::linear::Normal;
 use crate::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
@@ -328,6 +328,7 @@ impl DeviationFit {
 }
 
 impl DeviationModel {
+    /// The weights come from the residual when all links may deviate by about 1 mm.
     fn linearize(
         observations: &PoseObservations,
         state: &StreamState,
@@ -337,29 +338,22 @@ impl DeviationModel {
         let linear =
             link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = observations.columns.len();
-        let (columns, of) = parameters(observations, state);
-        (6 * linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
-    }
-
-    /// The weights come from the residual when all links may deviate by about 1 mm.
-    fn from_linear(
-        linear: &Linear,
-        joints: usize,
-        columns: &DMatrix<f64>,
-        of: Vec<DeviationParameter>,
-    ) -> Self {
+        let (columns, kinds) = parameters(observations, state);
+        if 6 * linear.len() <= kinds.len() {
+            return None;
+        }
         let every = AdditionalCauses { zeros: (0..joints).collect(), ..Default::default() };
         let mut weights = linear.first_weights();
-        let mut model = Self { normal: Normal::zeros(of.len()), kinds: of, joints, dof: 3.0 };
+        let mut model = Self { normal: Normal::zeros(kinds.len()), kinds, joints, dof: 3.0 };
         for _ in 0..4 {
             let normal = linear.normal(&weights);
             model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
-            model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
+            model.normal.matrix = columns.tr_mul(&normal.matrix) * &columns;
             model.normal.right = columns.tr_mul(&normal.right);
             let Some(fit) = model.fit_with(&every, &model.uniform_sizes(1e-3)) else { break };
-            weights = linear.weights_after((columns * &fit.mean).as_slice());
+            weights = linear.weights_after((&columns * &fit.mean).as_slice());
         }
-        model
+        Some(model)
     }
 
     fn uniform_sizes(&self, size_m: f64) -> Vec<f64> {
