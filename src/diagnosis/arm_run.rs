@@ -16,6 +16,12 @@ pub(crate) struct ArmRun<'a> {
 }
 
 impl ArmRun<'_> {
+    /// Whether the joint in this column turns, and a stream depends on it.
+    pub fn is_rotary(&self, column: usize) -> bool {
+        !self.is_prismatic[column]
+            && self.streams.iter().any(|stream| stream.columns.contains(&column))
+    }
+
     /// With constant causes.
     pub fn diagnose(&self) -> ArmDiagnosis {
         diagnose_arm(self.joints, self.streams, self.max_lag_s)

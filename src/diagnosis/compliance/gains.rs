@@ -74,17 +74,13 @@ impl ArmRun<'_> {
 
     /// Gains of each rotary joint by each one that moves. Their amounts are 0.
     fn possible_gains(&self) -> Vec<Gain> {
-        let dof = self.joints.dof;
-        let is_rotary = |column: &usize| {
-            !self.is_prismatic[*column]
-                && self.streams.iter().any(|stream| stream.columns.contains(column))
-        };
+        let rotary = (0..self.joints.dof).filter(|column| self.is_rotary(*column));
         let moves = |column: &usize| travel(self.joints, *column) > MIN_MOTION_RAD;
-        let driving: Vec<usize> = (0..dof).filter(is_rotary).filter(moves).collect();
+        let driving: Vec<usize> = rotary.clone().filter(moves).collect();
         let of_joint = |column: usize| {
             driving.iter().map(move |&by| Gain { column, by, amount: 0.0 }).collect::<Vec<_>>()
         };
-        (0..dof).filter(is_rotary).flat_map(of_joint).collect()
+        rotary.flat_map(of_joint).collect()
     }
 }
 

@@ -93,7 +93,6 @@ impl<'a> ComplianceSearch<'a> {
     }
 
     fn candidates(&self) -> Vec<ComplianceTerm> {
-        let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
         let of_joint = |column: usize| {
             let values = self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
@@ -111,11 +110,8 @@ impl<'a> ComplianceSearch<'a> {
                 .chain(orders.filter(move |_| turns));
             kinds.map(move |kind| ComplianceTerm::new(column, kind)).collect::<Vec<_>>()
         };
-        let used = |column: &usize| {
-            !self.run.is_prismatic[*column]
-                && self.run.streams.iter().any(|stream| stream.columns.contains(column))
-        };
-        (0..dof).filter(used).flat_map(of_joint).collect()
+        let columns = 0..self.run.joints.dof;
+        columns.filter(|column| self.run.is_rotary(*column)).flat_map(of_joint).collect()
     }
 
     /// Indexed by stream, sample and coefficient.
@@ -140,18 +136,15 @@ impl<'a> ComplianceSearch<'a> {
                 let mut values = Vec::new();
                 for (term, behind) in terms.iter().zip(&behind) {
                     let q = samples.q[k][term.column];
+                    let share = torques[k][term.column] / self.max_torque[term.column];
                     match term.kind {
                         ComplianceKind::Backlash(_) => {
                             let (row, part) = samples.at[k];
                             let next = (row + 1).min(behind.len() - 1);
                             values.push(behind[row] * (1.0 - part) + behind[next] * part);
                         }
-                        ComplianceKind::Sag => {
-                            let most = self.max_torque[term.column];
-                            values.push(torques[k][term.column] / most);
-                        }
+                        ComplianceKind::Sag => values.push(share),
                         ComplianceKind::LoadedSag(from_s) => {
-                            let share = torques[k][term.column] / self.max_torque[term.column];
                             let is_before = joints.t_s[samples.at[k].0] < from_s;
                             values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
                         }
