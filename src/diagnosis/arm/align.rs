@@ -2,10 +2,11 @@ use crate::encodings::decoded_stream::DecodedStream;
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState,
 };
+use crate::samples::sampling::as_rotations;
 use crate::selection::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, pose};
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::JointTrack;
 
 /// Before and after correcting the selected causes.
 pub(super) fn align(
@@ -34,6 +35,7 @@ pub(super) fn align(
     let StreamState { latency_s, skew, .. } = *stream_state;
     let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
     let mut aligned = AlignedSamples::default();
+    let rotations = as_rotations(&stream.track.orientation);
     let mut source = 0;
     for k in 0..observations.len() {
         let truth = observations.pose_at(k, &truth_state, &model.state.offsets, &mut truth_sweep);
@@ -44,10 +46,7 @@ pub(super) fn align(
         while stream.track.t_s[source] < observations.t_s[k] {
             source += 1;
         }
-        let rotation = match &stream.track.orientation {
-            Orientations::Rotations(rotations) => rotations[source],
-            Orientations::Numbers(_) | Orientations::Unset(_) => observations.rotation[k],
-        };
+        let rotation = rotations.map_or(observations.rotation[k], |all| all[source]);
         let mut decoded_pose = pose(observations.xyz[k].into(), observations.rotation[k]);
         if observations.excluded != ExcludedComponents::default() {
             observations.excluded.fill(&mut decoded_pose, &correction.invert(&truth));

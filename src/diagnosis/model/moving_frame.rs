@@ -1,6 +1,7 @@
 //! A frame that moves in an arm's base, as the odometry frame of a mobile manipulator.
 
 use super::jacobian::pose_change;
+use crate::samples::sampling::as_rotations;
 use ground::geometry::{Pose, Vec3, interpolate};
 use ground::stream::{Orientations, PoseTrack};
 
@@ -40,10 +41,7 @@ impl MovingFrame {
     }
 
     fn transformed(&self, track: &PoseTrack, transform: impl Fn(Pose) -> Pose) -> PoseTrack {
-        let rotations = match &track.orientation {
-            Orientations::Rotations(rotations) => Some(rotations),
-            _ => None,
-        };
+        let rotations = as_rotations(&track.orientation);
         let (mut t_s, mut xyz, mut turned) = (Vec::new(), Vec::new(), Vec::new());
         for (row, &stamp_s) in track.t_s.iter().enumerate() {
             let Some(base_from_frame) = self.pose_at(stamp_s - self.lag_s) else { continue };

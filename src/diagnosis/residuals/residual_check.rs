@@ -12,7 +12,7 @@ use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
 use crate::model::observability::travel;
-use crate::samples::sampling::{FkSequence, rest_speeds};
+use crate::samples::sampling::{FkSequence, as_rotations, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
@@ -226,14 +226,12 @@ pub(crate) fn align_with_fk(
     lag_s: f64,
 ) -> AlignedSamples {
     let track = stream.track;
+    let rotations = as_rotations(&track.orientation);
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     let mut aligned = AlignedSamples::default();
     for (row, &t_s) in track.t_s.iter().enumerate() {
         let Some(fk) = sequence.at(t_s - lag_s) else { continue };
-        let rotation = match &track.orientation {
-            Orientations::Rotations(all) => all[row],
-            Orientations::Numbers(_) | Orientations::Unset(_) => Default::default(),
-        };
+        let rotation = rotations.map(|all| all[row]).unwrap_or_default();
         aligned.t_s.push(t_s);
         aligned.logged.push(pose(track.xyz[row].into(), rotation));
         aligned.fk.push(fk);
