@@ -337,7 +337,7 @@ fn sample_rows(rows: usize) -> Vec<usize> {
 mod tests {
     use super::*;
     use crate::test_motion::{arm, pose_track, tip_stream};
-    use crate::{MovingFrame, diagnose_run};
+    use crate::{MovingFrame, PoseDiagnosis, diagnose_run};
     use ground::geometry::rotation_from_rpy;
     use ground::stream::PoseTrack;
 
@@ -395,6 +395,14 @@ mod tests {
         assert!((late.value - 0.05).abs() < 1e-3 && late.std_error < 1e-3, "{late:?}");
     }
 
+    fn diagnosed(frame: &MovingFrame, logged: &PoseTrack, reference_known: bool) -> PoseDiagnosis {
+        let (joints, chain) = arm();
+        let in_base = frame.in_base(logged);
+        let stream = stream(&in_base, &chain);
+        let stream = PoseStream { moving_frame: Some(frame), reference_known, ..stream };
+        diagnose_run(&joints, &[stream], &[false; 6], 5.0).streams.remove(0)
+    }
+
     #[test]
     fn a_changing_latency_of_poses_on_a_moving_base_is_compensated() {
         let (joints, chain) = arm();
@@ -403,10 +411,7 @@ mod tests {
             .map(|size_s| move |t_s: f64| if t_s > 9.0 { 0.004 + size_s } else { 0.004 });
         for latency_s in steps {
             let logged = track(&joints, &chain, latency_s, odometry);
-            let in_base = frame.in_base(&logged);
-            let stream = PoseStream { moving_frame: Some(&frame), ..stream(&in_base, &chain) };
-            let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
-            let found = &found.streams[0];
+            let found = diagnosed(&frame, &logged, false);
             let size_s = latency_s(10.0) - latency_s(0.0);
             let profile = found.latency_profile.as_ref().expect("a profile");
             let [step] = profile.steps.as_slice() else { panic!("{size_s}: {profile:?}") };
@@ -426,14 +431,8 @@ mod tests {
         let frame = MovingFrame { base_from_frame, ..frame };
         let ramp = |t_s: f64| 0.004 + 0.01 * ((t_s - 10.3) / 2.3).clamp(0.0, 1.0);
         let logged = track(&joints, &chain, ramp, odometry);
-        let in_base = frame.in_base(&logged);
-        let stream = PoseStream {
-            moving_frame: Some(&frame),
-            reference_known: true,
-            ..stream(&in_base, &chain)
-        };
-        let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
-        let profile = found.streams[0].latency_profile.as_ref().expect("a profile");
+        let found = diagnosed(&frame, &logged, true);
+        let profile = found.latency_profile.as_ref().expect("a profile");
         assert!(profile.is_unsteady && profile.steps.is_empty(), "{profile:?}");
         let swing = &profile.swing_s;
         assert!((swing.value - 0.01).abs() < swing.half_width(0.99), "{swing:?}");
@@ -445,10 +444,7 @@ mod tests {
         let (joints, chain) = arm();
         let frame = moving_frame(0.0);
         let logged = track(&joints, &chain, |t_s| 0.02 + 1e-3 * (t_s - 10.0), odometry);
-        let in_base = frame.in_base(&logged);
-        let stream = PoseStream { moving_frame: Some(&frame), ..stream(&in_base, &chain) };
-        let found = diagnose_run(&joints, &[stream], &[false; 6], 5.0);
-        let found = &found.streams[0];
+        let found = diagnosed(&frame, &logged, false);
         let skew = found.skew.as_ref().expect("a skew");
         assert!(found.is_skew_chosen && (skew.value - 1e-3).abs() < 2e-5, "{skew:?}");
         let residual = found.residual.as_ref().expect("a residual");
