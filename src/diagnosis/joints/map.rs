@@ -192,6 +192,12 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     distinct
 }
 
+/// All revolute joints in degrees, all prismatic ones in millimetres, and both.
+pub(super) fn unit_maps(chain: &Chain) -> impl Iterator<Item = JointMap> {
+    let all = arm_interpretations(chain).into_iter();
+    all.filter(|interpretation| interpretation.is_unit).map(|interpretation| interpretation.map)
+}
+
 /// Exhaustive search (7! = 5040).
 pub(super) const MAX_PERMUTED_JOINTS: usize = 7;
 

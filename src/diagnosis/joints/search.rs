@@ -3,7 +3,9 @@
 //! combinations of two. The best proposals of a kind are refined.
 
 use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
-use super::map::{Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders};
+use super::map::{
+    Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders, unit_maps,
+};
 use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
 use crate::frames::position_fit::spread;
@@ -235,19 +237,13 @@ fn best_proposals(
 /// Likely part of the fault; whether the joint ranges support them.
 pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
-    let units: Vec<JointMap> = arm_interpretations(view.chain)
-        .into_iter()
-        .filter(|interpretation| interpretation.is_unit)
-        .map(|w| w.map)
-        .collect();
     let is_out = none.out_of_range(view.chain, &view.spans);
-    let in_range =
-        units.iter().filter(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
-    let in_range: Vec<(JointMap, bool)> =
-        in_range.take(1).map(|unit| (unit.clone(), true)).collect();
+    let in_range = unit_maps(view.chain)
+        .find(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
     let ordered = reordered(view, FreeFrames::Both);
     let nearest = best_proposals(view, ordered, FreeFrames::Both, 1);
-    in_range.into_iter().chain(nearest.into_iter().map(|one| (one.map, false))).collect()
+    let nearest = nearest.into_iter().map(|one| (one.map, false));
+    in_range.map(|unit| (unit, true)).into_iter().chain(nearest).collect()
 }
 
 fn unrefined(map: JointMap, price: f64) -> JointProposal {
@@ -297,10 +293,7 @@ fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
 
 /// Reversing all joints in that unit would also fit, but with rotated frames.
 fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
-    let units =
-        arm_interpretations(view.chain).into_iter().filter(|interpretation| interpretation.is_unit);
-    let map =
-        units.map(|interpretation| interpretation.map).find(|unit| is_mirrored(view, unit))?;
+    let map = unit_maps(view.chain).find(|unit| is_mirrored(view, unit))?;
     let max_residual =
         ResidualSize { m: MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz), rad: None };
     Some(JointInterpretation { map, residual: max_residual, runner_up_m: None })
@@ -399,12 +392,8 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
-    let units: Vec<JointMap> = arm_interpretations(view.chain)
-        .into_iter()
-        .filter(|interpretation| interpretation.is_unit)
-        .map(|w| w.map)
-        .collect();
-    let bases = std::iter::once((&none, 0.0)).chain(units.iter().map(|unit| (unit, 1.0)));
+    let units = unit_maps(view.chain).map(|unit| (unit, 1.0));
+    let bases = std::iter::once((none.clone(), 0.0)).chain(units);
     let all = bases
         .flat_map(|(base, price)| {
             orders.iter().map(move |order| unrefined(base.in_order(order), price + ORDER_PRICE))
@@ -440,12 +429,10 @@ fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
 }
 
 fn unit_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
-    let units =
-        arm_interpretations(view.chain).into_iter().filter(|interpretation| interpretation.is_unit);
-    let joints = 0..view.chain.dof();
     let thin = view.thinned(ROUGH_SAMPLES);
-    let pairs: Vec<(JointMap, usize)> =
-        units.flat_map(|unit| joints.clone().map(move |joint| (unit.map.clone(), joint))).collect();
+    let pairs: Vec<(JointMap, usize)> = unit_maps(view.chain)
+        .flat_map(|unit| (0..view.chain.dof()).map(move |joint| (unit.clone(), joint)))
+        .collect();
     pairs
         .into_par_iter()
         .flat_map_iter(|(unit, joint)| single_joint(&thin, &unit, 1.0, freedom, joint))
