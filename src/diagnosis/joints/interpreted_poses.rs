@@ -117,6 +117,14 @@ impl InterpretedPoses<'_> {
         Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
     }
 
+    /// Frames under `map` from which a search starts.
+    pub fn first_frames(&self, map: &JointMap, freedom: FreeFrames) -> ConstantFrames {
+        match freedom {
+            FreeFrames::Tool => ConstantFrames::default(),
+            FreeFrames::Both => self.fit_frames(&self.fk(map), freedom),
+        }
+    }
+
     /// Frames with the smallest residual.
     pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
         let expected = FkColumns::from_poses(fk);
@@ -190,9 +198,14 @@ impl InterpretedPoses<'_> {
         (sum / distances.len().max(1) as f64).sqrt()
     }
 
-    /// Residual with the best frames, as one length.
-    pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
+    /// Residual with the best frames.
+    pub fn fitted_residual(&self, map: &JointMap, freedom: FreeFrames) -> ResidualSize {
         let fk = self.fk(map);
-        self.residual_against(&fk, &self.fit_frames(&fk, freedom)).combined_m(self.lever_m)
+        self.residual_against(&fk, &self.fit_frames(&fk, freedom))
+    }
+
+    /// Same, as one length.
+    pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
+        self.fitted_residual(map, freedom).combined_m(self.lever_m)
     }
 }

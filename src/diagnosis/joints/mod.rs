@@ -17,6 +17,7 @@ use self::slow_samples::{
 use crate::frames::position_fit::{FkColumns, spread};
 use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
 use crate::model::measurement::PoseObservations;
+use crate::samples::sampling::range_of;
 use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
 pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
@@ -150,10 +151,8 @@ fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
     if len < 2 * MIN_SAMPLES {
         return false;
     }
-    let residual = |view: &InterpretedPoses| {
-        let fk = view.fk(&JointMap::as_logged(dof));
-        view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both))
-    };
+    let residual =
+        |view: &InterpretedPoses| view.fitted_residual(&JointMap::as_logged(dof), FreeFrames::Both);
     let range = |view: &InterpretedPoses, joint: usize| {
         let values = || view.q.iter().skip(joint).step_by(dof).copied();
         values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
@@ -278,8 +277,7 @@ pub(super) fn likely_encodings(
     views.extend(views.last().map(InterpretedPoses::mirrored));
     for view in views.iter().filter(|view| view.len() > 5) {
         for (map, by_range) in search::likely_maps(view) {
-            let fk = view.fk(&map);
-            let residual = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
+            let residual = view.fitted_residual(&map, FreeFrames::Both);
             let found = JointInterpretation { map, residual, runner_up_m: None };
             let encoding = to_encoding(joints.dof, stream, &found, misfit(stream.chain, &samples));
             likely.push(LikelyEncoding { encoding, by_range });
@@ -348,11 +346,8 @@ fn views<'a>(
     samples: &SimultaneousSamples,
 ) -> Vec<InterpretedPoses<'a>> {
     let chain = stream.chain;
-    let span = |&column: &usize| {
-        let numbers = joints.q.iter().skip(column).step_by(joints.dof);
-        numbers
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &q| [low.min(q), high.max(q)])
-    };
+    let span =
+        |&column: &usize| range_of(joints.q.iter().skip(column).step_by(joints.dof).copied());
     let positions = InterpretedPoses {
         chain,
         xyz: samples.xyz.clone(),
@@ -534,8 +529,8 @@ pub fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> Option<boo
     let samples = slow_simultaneous_samples(joints, stream, 1.0, 0.0);
     let extent = spread(&samples.xyz);
     let view = views(joints, stream, &samples).into_iter().next()?;
-    let fk = view.fk(&JointMap::as_logged(stream.chain.dof()));
-    let residual = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
+    let as_logged = JointMap::as_logged(stream.chain.dof());
+    let residual = view.fitted_residual(&as_logged, FreeFrames::Both);
     (view.len() >= 6 && extent > MAX_REST_SPREAD_M).then(|| {
         residual.m < MAX_LOGGED_RESIDUAL_SHARE * extent
             && residual.rad.is_none_or(|rad| rad < MAX_RESIDUAL_RAD)

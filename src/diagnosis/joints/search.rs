@@ -104,8 +104,7 @@ pub(super) fn search_kind(
     max_residual: ResidualSize,
 ) -> SearchOutcome {
     let none = JointMap::as_logged(view.chain.dof());
-    let fk = view.fk(&none);
-    if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), max_residual) {
+    if is_within(&view.fitted_residual(&none, freedom), max_residual) {
         // The poses fit as logged.
         return SearchOutcome::Nothing;
     }
@@ -456,11 +455,9 @@ fn single_joint(
         settled.1
     };
     let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| JointProposal {
-        map: base.with(joint, factor, zero.unwrap_or(0.0)),
         zeros: zero.map(|_| joint).into_iter().collect(),
         factors: is_free.then_some(joint).into_iter().collect(),
-        fits_coupling: false,
-        price: price + more,
+        ..unrefined(base.with(joint, factor, zero.unwrap_or(0.0)), price + more)
     };
     let mut proposals = vec![proposal(own, Some(zero_of(own)), false, 1.0)];
     if moves(own) {
@@ -498,10 +495,7 @@ fn alternate_fit(
     pick: impl Fn(&SingleJoint) -> (f64, f64),
 ) -> (f64, f64) {
     const ALTERNATIONS: usize = 3;
-    let mut frames = match freedom {
-        FreeFrames::Tool => ConstantFrames::default(),
-        FreeFrames::Both => view.fit_frames(&view.fk(base), freedom),
-    };
+    let mut frames = view.first_frames(base, freedom);
     let mut found = (base.factor[joint], base.zero[joint]);
     for _ in 0..ALTERNATIONS {
         found = pick(&SingleJoint::new(view, base, &frames, joint));
@@ -540,10 +534,7 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
         .into_par_iter()
         .flat_map_iter(|(first, factor, zero, price)| {
             let base = none.with(first, factor, zero);
-            let frames = match freedom {
-                FreeFrames::Tool => ConstantFrames::default(),
-                FreeFrames::Both => thin.fit_frames(&thin.fk(&base), freedom),
-            };
+            let frames = thin.first_frames(&base, freedom);
             let seconds = (0..dof).filter(move |&second| second != first);
             let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
             let (thin, can_move) = (&thin, &can_move);
@@ -555,14 +546,9 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
                     candidates.push((-1.0, Some(single.best_zero(-1.0).0), 2.0));
                 }
                 let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
-                    let second_zero = zero.map(|_| second);
-                    JointProposal {
-                        map: base.with(second, factor, zero.unwrap_or(0.0)),
-                        zeros: firsts.iter().copied().chain(second_zero).collect(),
-                        factors: Vec::new(),
-                        fits_coupling: false,
-                        price: price + more,
-                    }
+                    let zeros = firsts.iter().copied().chain(zero.map(|_| second)).collect();
+                    let map = base.with(second, factor, zero.unwrap_or(0.0));
+                    JointProposal { zeros, ..unrefined(map, price + more) }
                 };
                 candidates.into_iter().map(proposal).collect::<Vec<_>>()
             })
@@ -588,13 +574,8 @@ fn order_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Join
                 let zero = SingleJoint::new(thin, &base, &ConstantFrames::default(), joint)
                     .best_zero(1.0)
                     .0;
-                let turned = JointProposal {
-                    map: base.with(joint, 1.0, zero),
-                    zeros: vec![joint],
-                    factors: Vec::new(),
-                    fits_coupling: false,
-                    price: ORDER_PRICE + 1.0,
-                };
+                let turned = unrefined(base.with(joint, 1.0, zero), ORDER_PRICE + 1.0);
+                let turned = JointProposal { zeros: vec![joint], ..turned };
                 let moves = can_move.contains(&joint);
                 let reversed =
                     moves.then(|| unrefined(base.with(joint, -1.0, 0.0), ORDER_PRICE + 1.0));
