@@ -24,32 +24,24 @@ pub(crate) struct CorrectedJoints {
 impl CorrectedJoints {
     pub fn new(joints: &JointTrack, encoding: &JointEncoding, prismatic: &[bool]) -> Self {
         let track = correct_joints(joints, encoding, prismatic);
-        let is_off = encoding.zeros.iter().any(|zero| *zero != 0.0);
-        let near = is_off.then(|| with_zeros(&track, &encoding.zeros));
-        let scaled =
-            encoding.unit_errors.iter().filter(|unit_error| unit_error.unit == JointUnit::Scaled);
-        let coupled = encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by));
-        let gained: Vec<(usize, usize)> = scaled
-            .map(|unit_error| (unit_error.column, unit_error.column))
-            .chain(coupled)
-            .collect();
+        let JointEncoding { unit_errors, couplings, zeros, .. } = encoding;
+        let is_off = zeros.iter().any(|zero| *zero != 0.0);
+        let scaled = unit_errors.iter().filter(|error| error.unit == JointUnit::Scaled);
+        let coupled = couplings.iter().map(|coupling| (coupling.column, coupling.by));
+        let gains: Vec<(usize, usize)> =
+            scaled.map(|error| (error.column, error.column)).chain(coupled).collect();
         let mut factors = vec![1.0; joints.dof];
-        encoding
-            .unit_errors
-            .iter()
-            .for_each(|unit_error| factors[unit_error.column] = unit_error.factor);
-        let mut offsets = encoding.zeros.clone();
-        offsets.resize(joints.dof, 0.0);
-        offsets.resize(joints.dof + gained.len(), 0.0);
-        let still = rest_speeds(&track);
+        unit_errors.iter().for_each(|error| factors[error.column] = error.factor);
+        let mut offsets = zeros.clone();
+        offsets.resize(joints.dof + gains.len(), 0.0);
         Self {
+            approximate_track: is_off.then(|| with_zeros(&track, zeros)),
+            rest_speeds: rest_speeds(&track),
+            couplings: couplings.clone(),
             track,
-            approximate_track: near,
             offsets,
-            gains: gained,
-            couplings: encoding.couplings.clone(),
+            gains,
             factors,
-            rest_speeds: still,
         }
     }
 

@@ -1,9 +1,10 @@
 //! Slow samples used to determine the encoding of the joints.
 
 use crate::PoseStream;
+use crate::samples::sampling::as_rotations;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::JointTrack;
 
 pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
 
@@ -29,7 +30,7 @@ pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
 }
 
 /// Bounded below to allow division.
-pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
+fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     let square = |joint: usize| {
         joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
     };
@@ -55,30 +56,17 @@ pub(super) fn slow_simultaneous_samples(
             covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
         }
     }
-    let rotations = match &track.orientation {
-        Orientations::Rotations(rotations) => Some(rotations),
-        Orientations::Numbers(_) | Orientations::Unset(_) => None,
-    };
-    let mut samples = SimultaneousSamples {
-        xyz: Vec::new(),
-        rotation: rotations.map(|_| Vec::new()),
-        inverse_xyz: rotations.map(|_| Vec::new()),
-        q: Vec::new(),
-    };
     let speeds: Vec<f64> = covered.iter().map(|(_, speed, _)| *speed).collect();
-    for i in slow_rows(&speeds) {
-        let k = covered[i].0;
-        let xyz = track.xyz[k] * scale;
-        samples.xyz.push(xyz);
-        if let (Some(inverse_xyz), Some(rotations)) = (&mut samples.inverse_xyz, rotations) {
-            inverse_xyz.push(-(rotations[k].inverse() * xyz));
-        }
-        if let (Some(rotation), Some(rotations)) = (&mut samples.rotation, rotations) {
-            rotation.push(rotations[k]);
-        }
-        samples.q.extend_from_slice(&covered[i].2);
-    }
-    samples
+    let slow = slow_rows(&speeds);
+    let rows = || slow.iter().map(|&at| covered[at].0);
+    let xyz: Vec<Vec3> = rows().map(|row| track.xyz[row] * scale).collect();
+    let rotation: Option<Vec<Rotation>> =
+        as_rotations(&track.orientation).map(|all| rows().map(|row| all[row]).collect());
+    let inverse_xyz = rotation.as_ref().map(|rotation| {
+        rotation.iter().zip(&xyz).map(|(rotation, xyz)| -(rotation.inverse() * xyz)).collect()
+    });
+    let q = slow.iter().flat_map(|&at| &covered[at].2).copied().collect();
+    SimultaneousSamples { xyz, rotation, inverse_xyz, q }
 }
 
 /// Rows of slow samples, ascending. The run is divided into stretches, equally by time and by path, so an arm that
