@@ -218,11 +218,11 @@ impl<'a> EncodingSearch<'a> {
                 (free.shift && known, 2),
             ];
             let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
-            let (inverted, residual_m) = (self.is_inverted, solved.residual_m);
+            let (is_inverted, residual_m) = (self.is_inverted, solved.residual_m);
             let is_explained = residual_m <= MAX_RESIDUAL_SHARE * self.extent_m;
             found.push(PositionEncoding {
                 metres,
-                is_inverted: inverted,
+                is_inverted,
                 axes,
                 turn,
                 residual_m,
@@ -252,7 +252,8 @@ impl<'a> EncodingSearch<'a> {
             for (_, start) in starts.iter().take(2) {
                 for tool in [false, true] {
                     let free = FreeOffsets { tool, shift: true };
-                    if let Some((turn, solved)) = self.best_rotation(*start, sign, metres, free) {
+                    let scale = Some(metres.recip());
+                    if let Some((turn, solved)) = self.best_rotation(*start, sign, scale, free) {
                         add(None, turn, &solved, free);
                     }
                 }
@@ -273,8 +274,7 @@ impl<'a> EncodingSearch<'a> {
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
             let mut best: Option<EncodingSolution> = None;
-            let mut consider = |solved: Option<EncodingSolution>| {
-                let Some(solved) = solved else { return };
+            let mut consider = |solved: EncodingSolution| {
                 // Prefer the fit without a tool, which can hide the scale of a motion about a point.
                 let lead = if best.is_some() { 0.5 } else { 1.0 };
                 if best.as_ref().is_none_or(|best| solved.residual_m < lead * best.residual_m) {
@@ -282,22 +282,19 @@ impl<'a> EncodingSearch<'a> {
                 }
             };
             for free in [FREE_COMBINATIONS[2], FREE_COMBINATIONS[3]] {
-                let mut start: Option<(f64, Matrix3<f64>)> = None;
-                for &axes in Axes::all().iter().filter(of_sign) {
+                let fits = Axes::all().iter().filter(of_sign).filter_map(|&axes| {
                     let turn = axes_matrix(axes);
                     let right = self.right_hand_side(&turn, self.sums_of(axes));
-                    let solved = self.solve(&right, None, free);
-                    if let Some(solved) = &solved
-                        && start
-                            .as_ref()
-                            .is_none_or(|(residual_m, _)| solved.residual_m < *residual_m)
-                    {
-                        start = Some((solved.residual_m, turn));
-                    }
+                    Some((turn, self.solve(&right, None, free)?))
+                });
+                let fits: Vec<(Matrix3<f64>, EncodingSolution)> = fits.collect();
+                let nearest = fits.iter().min_by(|a, b| a.1.residual_m.total_cmp(&b.1.residual_m));
+                let start = nearest.map(|(turn, _)| *turn);
+                fits.into_iter().for_each(|(_, solved)| consider(solved));
+                if let (Some(start), None) = (start, self.positions.constant)
+                    && let Some((_, solved)) = self.best_rotation(start, sign, None, free)
+                {
                     consider(solved);
-                }
-                if let (Some((_, start)), None) = (start, self.positions.constant) {
-                    consider(self.best_rotation_and_scale(start, sign, free));
                 }
             }
             let Some(best) =
@@ -398,26 +395,8 @@ impl<'a> EncodingSearch<'a> {
         (tool.norm() <= longest_m * scale).then_some(EncodingSolution { scale, tool, residual_m })
     }
 
+    /// Alternates between the rotation and the rest, with the scale if it is not given.
     fn best_rotation(
-        &self,
-        start: Matrix3<f64>,
-        sign: f64,
-        metres: f64,
-        free: FreeOffsets,
-    ) -> Option<(Matrix3<f64>, EncodingSolution)> {
-        self.alternate_rotation(start, sign, Some(metres.recip()), free)
-    }
-
-    fn best_rotation_and_scale(
-        &self,
-        start: Matrix3<f64>,
-        sign: f64,
-        free: FreeOffsets,
-    ) -> Option<EncodingSolution> {
-        self.alternate_rotation(start, sign, None, free).map(|(_, solved)| solved)
-    }
-
-    fn alternate_rotation(
         &self,
         start: Matrix3<f64>,
         sign: f64,
