@@ -15,6 +15,7 @@ use ground::stream::{JointTrack, PoseTrack};
 use nalgebra::Matrix3;
 
 /// As far as positions alone determine it.
+#[derive(Clone)]
 pub(crate) struct PositionEncodingEstimate {
     /// Factor to metres.
     pub metres: EstimateResult<f64>,
@@ -70,36 +71,26 @@ impl PositionEncodingEstimate {
             let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
             let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
             let sized = metres_from_size(&at, &xyz, reach_m, read_as_m, reference_known);
-            if let Ok(metres) = sized
-                && metres != 1.0
-                && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
-            {
-                // Positions match FK in that unit.
-                placement.metres = Ok(metres);
-                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
-                return placement;
-            }
+            // Positions match FK in that unit.
+            let by_size = sized.as_ref().ok().copied().filter(|&metres| {
+                metres != 1.0 && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
+            });
             let by_poses = match reference_known {
                 true => None,
                 false => unit_by_poses(track, &rows, &fk),
             };
-            if let Some(metres) = by_poses.filter(|metres| *metres != 1.0) {
-                placement.metres = Ok(metres);
-                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
-                return placement;
+            if let Some(metres) = by_size.or(by_poses.filter(|metres| *metres != 1.0)) {
+                let (metres, candidates, constant) = (Ok(metres), Vec::new(), [false; 3]);
+                return Self { metres, candidates, constant, ..placement };
             }
-            let constant = constant_coordinates(&track.xyz, &at, stream.reference_known);
-            let left_out = match constant {
-                [false, false, false] => Some(None),
-                [true, false, false] => Some(Some(0)),
-                [false, true, false] => Some(Some(1)),
-                [false, false, true] => Some(Some(2)),
-                _ => None,
-            };
-            let mut layouts = left_out.map_or_else(Vec::new, |constant| {
-                let written = StreamPositions { xyz: &xyz, constant, read_as_m, reference_known };
-                candidate_encodings(&fk, reach_m, &written)
-            });
+            let constant = constant_coordinates(&track.xyz, &at, reference_known);
+            let mut layouts = Vec::new();
+            if constant.iter().filter(|is| **is).count() < 2 {
+                let left_out = constant.iter().position(|is| *is);
+                let written =
+                    StreamPositions { xyz: &xyz, constant: left_out, read_as_m, reference_known };
+                layouts = candidate_encodings(&fk, reach_m, &written);
+            }
             if by_poses.is_some() {
                 layouts.retain(|layout| layout.metres == 1.0);
             }
@@ -131,16 +122,9 @@ impl PositionEncodingEstimate {
 
     /// Copy without mirrored, inverted or rescaled candidates, and with rotations as logged.
     pub fn standard_only(&self) -> Self {
-        let layouts =
+        let candidates =
             self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
-        Self {
-            metres: Ok(1.0),
-            candidates: layouts,
-            constant: self.constant,
-            peaks: self.peaks.clone(),
-            top_speed_m_s: self.top_speed_m_s,
-            rotations_as_logged: true,
-        }
+        Self { metres: Ok(1.0), candidates, rotations_as_logged: true, ..self.clone() }
     }
 
     /// Whether a candidate explains the positions.
