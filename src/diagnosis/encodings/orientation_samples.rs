@@ -1,9 +1,9 @@
 //! Rotation encoding of a stream, given candidate position encodings.
 
 use super::axis_convention::{PositionEncoding, axes_matrix};
-use super::rotation::fit_known;
 use super::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, estimate_encoding,
+    fit_known,
 };
 use crate::PoseEncoding;
 use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
@@ -33,16 +33,12 @@ impl PositionInterpretation {
 
     /// Interpretations of `layout` for a motion of `extent_m`.
     pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
-        let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
-        let interpretation = |axes, reference| {
-            let PositionEncoding { metres, is_inverted: inverted, .. } = *layout;
+        let standard = AxesError::NONE;
+        let interpretation = |axes, reference: Option<Rotation>| {
+            let PositionEncoding { metres, is_inverted, .. } = *layout;
             // Inverse positions do not determine the base's rotation.
-            PositionInterpretation {
-                metres,
-                axes,
-                is_inverted: inverted,
-                reference: if inverted { None } else { reference },
-            }
+            let reference = reference.filter(|_| !is_inverted);
+            PositionInterpretation { metres, axes, is_inverted, reference }
         };
         if layout.residual_m > MAX_POSITION_RESIDUAL_SHARE * extent_m {
             return vec![interpretation(standard, None)];
@@ -78,11 +74,6 @@ impl PositionInterpretation {
     pub fn has_rotations_of(&self, other: &Self) -> bool {
         (self.axes, self.is_inverted, self.reference)
             == (other.axes, other.is_inverted, other.reference)
-    }
-
-    /// Copy with other rotation axes.
-    pub fn with_rotations_in(&self, rotations: Axes) -> Self {
-        PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }
     }
 
     pub fn corrections(&self) -> RotationCorrections {
@@ -233,18 +224,18 @@ impl OrientationSamples<'_> {
             return best.ok_or(why);
         };
         let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
-        let turned = right_handed.map(|&axes| declared_frame.with_rotations_in(axes));
-        let turned = turned
-            .map(|interpretation| (self.simplest_residual_rad(&interpretation), interpretation));
-        let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
-        let rotated = turned.filter(|(rad, _)| {
+        let turned = right_handed.map(|&rotations| {
+            let axes = AxesError { rotations, ..declared_frame.axes };
+            let interpretation = PositionInterpretation { axes, ..declared_frame };
+            (self.simplest_residual_rad(&interpretation), interpretation)
+        });
+        let rotated = turned.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(rad, _)| {
             *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < residual_rad
         });
-        match rotated.and_then(|(_, interpretation)| {
-            Some((self.estimate_encoding(&interpretation).ok()?, interpretation))
-        }) {
-            Some(((encoding, fit), interpretation)) => Ok((interpretation, encoding, fit)),
-            None => best.ok_or(why),
-        }
+        let rotated = rotated.and_then(|(_, interpretation)| {
+            let (encoding, fit) = self.estimate_encoding(&interpretation).ok()?;
+            Some((interpretation, encoding, fit))
+        });
+        rotated.or(best).ok_or(why)
     }
 }
