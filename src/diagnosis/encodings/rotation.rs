@@ -168,24 +168,18 @@ fn candidate_rotations(
             out.push(convention.rotation(numbers[sample]));
         }
         (_, LoggedRotations::Numbers(_)) => {}
-        (
-            PoseEncoding::AsLogged | PoseEncoding::Numbers(_),
-            LoggedRotations::Rotations(rotations),
-        ) => {
-            out.push(rotations[sample]);
-        }
-        (
-            PoseEncoding::Transposed | PoseEncoding::Inverted,
-            LoggedRotations::Rotations(rotations),
-        ) => {
-            out.push(rotations[sample].inverse());
-        }
-        (PoseEncoding::QuaternionOrder(slip), LoggedRotations::Rotations(rotations)) => {
-            let q_xyzw = slip.true_xyzw(xyzw_from_rotation(&rotations[sample]));
-            out.extend(rotation_from_xyzw(q_xyzw));
-        }
-        (PoseEncoding::Misinterpreted(class), LoggedRotations::Rotations(rotations)) => {
-            class.members[0].true_rotations(&rotations[sample], out);
+        (_, LoggedRotations::Rotations(rotations)) => {
+            let logged = rotations[sample];
+            match encoding {
+                PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => out.push(logged),
+                PoseEncoding::Transposed | PoseEncoding::Inverted => out.push(logged.inverse()),
+                PoseEncoding::QuaternionOrder(slip) => {
+                    out.extend(rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&logged))));
+                }
+                PoseEncoding::Misinterpreted(class) => {
+                    class.members[0].true_rotations(&logged, out);
+                }
+            }
         }
     }
 }
@@ -296,43 +290,32 @@ pub(crate) fn estimate_imu_encoding(
         .min_by_key(leaning)
         .unwrap_or(&fits[0]);
     let near_best = max_similar(best.residual_rad);
-    let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
-        (Vec::new(), None);
+    let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
     let others = fits.iter().filter(|fit| {
         fit.frames == best.frames && !is_same_encoding(&fit.encoding, &best.encoding)
     });
-    for fit in others {
-        let named = samples.after.reported_encoding(fit.encoding);
-        if fit.residual_rad <= near_best {
-            equivalent.push(named);
-            continue;
-        }
-        if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
-            runner_up = Some((named, fit.residual_rad));
-        }
-    }
-    let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
+    let (equivalent, worse): (Vec<&EncodingFit>, Vec<&EncodingFit>) =
+        others.partition(|fit| fit.residual_rad <= near_best);
+    let runner_up = worse.into_iter().min_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
     let as_logged = fits
         .iter()
         .find(|fit| matches!(named(fit), PoseEncoding::AsLogged) && fit.frames == best.frames);
     let ranked = ranking(&fits, &best).into_iter();
     let estimate = EncodingEstimate {
-        ranked: ranked
-            .map(|(reading, rad)| (samples.after.reported_encoding(reading), rad))
-            .collect(),
+        ranked: ranked.map(|fit| (named(fit), fit.residual_rad)).collect(),
         best: named(&best),
         is_inverted: samples.after.inverted,
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
-        runner_up,
+        runner_up: runner_up.map(|fit| (named(fit), fit.residual_rad)),
         is_determined: candidate_encodings(samples).len() > 2 * equivalent.len() + 1,
-        equivalent,
+        equivalent: equivalent.into_iter().map(named).collect(),
     };
     Ok((estimate, best))
 }
 
 /// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
-fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
+fn ranking<'a>(fits: &'a [EncodingFit], best: &EncodingFit) -> Vec<&'a EncodingFit> {
     /// Number of distinct candidates.
     const MAX_RANKED: usize = 6;
     let same_frames = fits.iter().filter(|fit| fit.frames == best.frames);
@@ -344,7 +327,7 @@ fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)>
             || is_same_encoding(&fit.encoding, &best.encoding)
     };
     let kept = same_frames.into_iter().enumerate().filter(is_kept);
-    kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
+    kept.map(|(_, fit)| fit).collect()
 }
 
 /// Whether the world's rotation is the only fault.
@@ -567,14 +550,11 @@ fn fits_with(
     candidates: &CandidateRotations,
 ) -> Vec<EncodingFit> {
     let fit = |&frames: &FreeFrameErrors| {
+        let one = |side| fit_one_frame(candidates, samples.fk, side);
         let (reference, tool) = match frames {
-            FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
-            FreeFrameErrors::Tool => {
-                (Rotation::identity(), fit_one_frame(candidates, samples.fk, Side::Tool))
-            }
-            FreeFrameErrors::Reference => {
-                (fit_one_frame(candidates, samples.fk, Side::Reference), Rotation::identity())
-            }
+            FreeFrameErrors::None => Default::default(),
+            FreeFrameErrors::Tool => (Rotation::identity(), one(Side::Tool)),
+            FreeFrameErrors::Reference => (one(Side::Reference), Rotation::identity()),
             FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
         };
         let residual_rad = residual(candidates, samples.fk, &reference, &tool);
