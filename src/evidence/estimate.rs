@@ -33,50 +33,34 @@ pub(super) struct ArmStreamsDiagnosis {
     pub joint_topic: Option<JointTopicLatency>,
 }
 
+/// Another interpretation of an arm with its diagnosis, if it is better than the one found.
+type Alternative = fn(&Run, &Arm, &ArmStreamsDiagnosis, f64) -> Option<(Arm, ArmStreamsDiagnosis)>;
+
+const ALTERNATIVES: [Alternative; 4] = [
+    with_documented_conventions,
+    with_turn_by_imu,
+    with_simultaneous_topics,
+    with_steady_joint_clock,
+];
+
 /// Diagnoses every arm. Replaces an arm whose DH table uses the undeclared convention.
 pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
-        let found = diagnose_one(run, &run.arms[index], max_lag_s);
-        let found = match realign_moving_bases(run, index, &found.arm) {
-            true => diagnose_one(run, &run.arms[index], max_lag_s),
-            false => found,
-        };
-        let found = match with_other_reference(run, &run.arms[index], &found, max_lag_s) {
-            Some((arm, other)) => {
-                run.exchange_reference(index, arm);
-                other
-            }
-            None => found,
-        };
-        let found = match with_documented_conventions(run, &run.arms[index], &found, max_lag_s) {
-            Some((arm, documented)) => {
+        let mut found = diagnose_one(run, &run.arms[index], max_lag_s);
+        if realign_moving_bases(run, index, &found.arm) {
+            found = diagnose_one(run, &run.arms[index], max_lag_s);
+        }
+        if let Some((arm, other)) = with_other_reference(run, &run.arms[index], &found, max_lag_s) {
+            run.exchange_reference(index, arm);
+            found = other;
+        }
+        for alternative in ALTERNATIVES {
+            if let Some((arm, other)) = alternative(run, &run.arms[index], &found, max_lag_s) {
                 run.replace_arm(index, arm);
-                documented
+                found = other;
             }
-            None => found,
-        };
-        let found = match with_turn_by_imu(run, &run.arms[index], &found, max_lag_s) {
-            Some((arm, other)) => {
-                run.replace_arm(index, arm);
-                other
-            }
-            None => found,
-        };
-        let found = match with_simultaneous_topics(run, &run.arms[index], &found, max_lag_s) {
-            Some((arm, simultaneous)) => {
-                run.replace_arm(index, arm);
-                simultaneous
-            }
-            None => found,
-        };
-        let found = match with_steady_joint_clock(run, &run.arms[index], &found, max_lag_s) {
-            Some((arm, steady)) => {
-                run.replace_arm(index, arm);
-                steady
-            }
-            None => found,
-        };
+        }
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) =
@@ -258,18 +242,11 @@ fn diagnose_other_convention(
     /// The same, relative to the declared convention.
     const MAX_MISFIT_RATIO: f64 = 0.5;
     let declared = DhResidual::from_diagnosis(found);
-    let mut estimate = DhComparison {
-        streams: declared
-            .iter()
-            .map(|&declared| DhStreamResiduals {
-                declared,
-                declared_positions_m: None,
-                other: None,
-            })
-            .collect(),
-        declared_faults: fault_count(found),
-        other_faults: 0,
-    };
+    let residuals =
+        |&declared| DhStreamResiduals { declared, declared_positions_m: None, other: None };
+    let streams = declared.iter().map(residuals).collect();
+    let mut estimate =
+        DhComparison { streams, declared_faults: fault_count(found), other_faults: 0 };
     if estimate.declared_faults == 0 && declared.iter().any(DhResidual::is_explained) {
         return (estimate, None);
     }
