@@ -79,16 +79,17 @@ pub(super) fn hand_eyes(
             HandKind::Joints { arm, .. } => Some(run.arms[*arm].name.clone()),
             _ => None,
         };
+        let [hand_name, hand_frame, base] = hand_names(run, &source.kind);
         Some(HandEyeEvidence {
             robot,
             topic: stream.topic.clone(),
             camera: stream.frame_id.clone(),
             target: stream.child_frame_id.clone(),
             span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
-            hand: hand_name(run, &source.kind),
+            hand: hand_name,
             hand_is_of_joints: matches!(source.kind, HandKind::Joints { .. }),
-            hand_frame: hand_frame_name(run, &source.kind),
-            base: base_frame(run, &source.kind),
+            hand_frame,
+            base,
             axes: target.axes,
             logged: streams.logged.map(|(mount, _)| mount),
             diagnosis: diagnose_hand_eye(&streams, max_lag_s),
@@ -129,26 +130,19 @@ fn best_hand<'a>(
         .max_by(|a, b| rotation_correlation(&a.1).total_cmp(&rotation_correlation(&b.1)))
 }
 
-fn base_frame(run: &Run, kind: &HandKind) -> String {
+/// Name of the hand, its frame and its base.
+fn hand_names(run: &Run, kind: &HandKind) -> [String; 3] {
     match kind {
-        HandKind::Joints { chain, .. } => chain.base_name().to_owned(),
-        HandKind::Stream { stream, .. } => run.streams[*stream].frame_id.clone(),
-        HandKind::Transforms { base, .. } => base.clone(),
-    }
-}
-
-fn hand_frame_name(run: &Run, kind: &HandKind) -> String {
-    match kind {
-        HandKind::Joints { chain, .. } => chain.tip_name().to_owned(),
-        HandKind::Stream { stream, .. } => run.streams[*stream].child_frame_id.clone(),
-        HandKind::Transforms { frame, .. } => frame.clone(),
-    }
-}
-
-fn hand_name(run: &Run, kind: &HandKind) -> String {
-    match kind {
-        HandKind::Joints { chain, .. } => format!("{} by FK", chain.tip_name()),
-        HandKind::Stream { stream, .. } => run.streams[*stream].topic.clone(),
-        HandKind::Transforms { frame, .. } => format!("{frame} by /tf"),
+        HandKind::Joints { chain, .. } => {
+            let (base, tip) = (chain.base_name(), chain.tip_name());
+            [format!("{tip} by FK"), tip.to_owned(), base.to_owned()]
+        }
+        HandKind::Stream { stream, .. } => {
+            let stream = &run.streams[*stream];
+            [&stream.topic, &stream.child_frame_id, &stream.frame_id].map(String::clone)
+        }
+        HandKind::Transforms { base, frame, .. } => {
+            [format!("{frame} by /tf"), frame.clone(), base.clone()]
+        }
     }
 }
