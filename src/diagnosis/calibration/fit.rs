@@ -47,7 +47,7 @@ pub fn calibrate_arm(
     let (parameters, sources) = (&parameters, sources.as_slice());
     let system = CalibrationSystem { robot, path, parameters, sources, distances };
     let mut state = CalibrationState {
-        values: DVector::zeros(parameters.width()),
+        values: DVector::zeros(parameters.width),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
     let nominal = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
@@ -61,7 +61,7 @@ pub fn calibrate_arm(
         let (step, cholesky) =
             system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
         let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
-            / parameters.width() as f64)
+            / parameters.width as f64)
             .sqrt();
         if !step.iter().all(|value| value.is_finite()) {
             return Err(CalibrationFailure::Diverges);
@@ -91,7 +91,7 @@ pub fn calibrate_arm(
     let workspace = TipSensitivity::new(&system, &state);
     let shared = parameters.shared();
     let reports = (0..sources.len()).map(|s| {
-        let own = parameters.of_stream(s);
+        let own = &parameters.streams[s];
         let (latency_s, reference, tool) = state.streams[s];
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
@@ -163,7 +163,7 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
     ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
         let own = self.own_parameters();
-        let none = DVector::zeros(self.parameters.width());
+        let none = DVector::zeros(self.parameters.width);
         let fitted = |normal: &Normal| normal.step(&none, &own);
         let all_free = fitted(&self.sample_normal(linearized));
         let folds = self.cross_validated(linearized, state, fitted);
@@ -180,7 +180,7 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
         link_m: f64,
     ) -> Vec<CalibrationResidual> {
-        let none = || DVector::zeros(self.parameters.width());
+        let none = || DVector::zeros(self.parameters.width);
         let of = |training: &Normal| {
             self.step(training, state, link_m).map_or_else(none, |(step, _)| step)
         };
@@ -196,13 +196,13 @@ impl CalibrationSystem<'_> {
         step: impl Fn(&Normal) -> DVector<f64>,
     ) -> Vec<CalibrationResidual> {
         let all_data = self.normal(linearized, state);
-        let none = DVector::zeros(self.parameters.width());
+        let none = DVector::zeros(self.parameters.width);
         let (folds, by_group) = self.folds();
         let mut all: Vec<Vec<_>> = linearized.iter().map(|_| Vec::new()).collect();
         for fold in 0..folds {
             let held_out_parts = self.fold(linearized, fold);
             let mut held_out = self.sample_normal(&held_out_parts);
-            let mut training = Normal::zeros(self.parameters.width());
+            let mut training = Normal::zeros(self.parameters.width);
             training.matrix = &all_data.matrix - &held_out.matrix;
             training.right = &all_data.right - &held_out.right;
             let mut step = step(&training);
@@ -220,7 +220,7 @@ impl CalibrationSystem<'_> {
     }
 
     fn own_parameters(&self) -> Vec<usize> {
-        (self.parameters.shared()..self.parameters.width()).collect()
+        (self.parameters.shared()..self.parameters.width).collect()
     }
 
     /// Streams' own parameters that no sample outside `part` depends on.
@@ -231,7 +231,7 @@ impl CalibrationSystem<'_> {
     ) -> Vec<usize> {
         let is_elsewhere = |parameter: usize| {
             part.iter().zip(all).enumerate().any(|(s, (part, all))| {
-                let own = self.parameters.of_stream(s);
+                let own = &self.parameters.streams[s];
                 part.linear.len() < all.linear.len()
                     && (own.reference.contains(&parameter)
                         || own.tool.contains(&parameter)
@@ -249,7 +249,7 @@ impl CalibrationSystem<'_> {
         });
         let mut linearized = self.linearize(state, None)?;
         for _ in (0..START_ROUNDS).filter(|_| has_positions) {
-            let none = DVector::zeros(self.parameters.width());
+            let none = DVector::zeros(self.parameters.width);
             let step = self.sample_normal(&linearized).step(&none, &self.own_parameters());
             self.advance(state, &step);
             linearized = self.linearize(state, Some(0.0))?;

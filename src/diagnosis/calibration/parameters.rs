@@ -21,9 +21,10 @@ pub(super) struct CalibrationParameters {
     pub links: Vec<LinkParameter>,
     /// Joints with a free zero.
     pub zeros: Vec<usize>,
-    width: usize,
+    /// Number of parameters.
+    pub width: usize,
     joints: usize,
-    streams: Vec<StreamParameters>,
+    pub streams: Vec<StreamParameters>,
     base_from_first: Vec<Pose>,
     /// Derivative of the arm's scale, relative to its nominal size, by each parameter.
     pub scale: DVector<f64>,
@@ -111,18 +112,9 @@ impl CalibrationParameters {
         Self { links, zeros, width: next, joints, streams: own, base_from_first, scale }
     }
 
-    /// Number of parameters.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
     /// Number of shared parameters.
     pub fn shared(&self) -> usize {
         self.links.len() + self.zeros.len()
-    }
-
-    pub fn of_stream(&self, stream: usize) -> &StreamParameters {
-        &self.streams[stream]
     }
 
     /// Precision per parameter.
@@ -131,7 +123,7 @@ impl CalibrationParameters {
             true => (RAD_PER_M * link_m).powi(-2),
             false => link_m.powi(-2),
         });
-        let rest = self.width() - self.links.len();
+        let rest = self.width - self.links.len();
         links.chain(std::iter::repeat_n(FREE_PRIOR.powi(-2), rest)).collect()
     }
 
@@ -148,9 +140,8 @@ impl CalibrationParameters {
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
         let own = &self.streams[stream];
         let [reference, tool] = [&own.reference, &own.tool].map(|frame| !frame.is_empty());
-        let mut columns = self
-            .shared_columns_where(stream, reference, tool)
-            .resize_horizontally(self.width(), 0.0);
+        let mut columns =
+            self.shared_columns_where(stream, reference, tool).resize_horizontally(self.width, 0.0);
         for (link, frame) in [(0, &own.reference), (self.joints, &own.tool)] {
             for (axis, parameter) in frame.clone().enumerate() {
                 columns[(6 * link + axis, parameter)] = 1.0;

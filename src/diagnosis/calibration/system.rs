@@ -221,17 +221,17 @@ impl CalibrationSystem<'_> {
     }
 
     fn distance_normal(&self, state: &CalibrationState) -> Normal {
-        let mut normal = Normal::zeros(self.parameters.width());
+        let mut normal = Normal::zeros(self.parameters.width);
         for distance in self.distances {
             let [a, b] = distance.streams;
             let between = self.point(a, state) - self.point(b, state);
             let Some(direction) = between.try_normalize(0.0) else { continue };
             let weight = distance.std_error_m.powi(-2);
             let residual = distance.distance_m - between.norm();
-            let mut along = DVector::zeros(self.parameters.width());
+            let mut along = DVector::zeros(self.parameters.width);
             // The reference maps the point to the origin.
             for (s, sign) in [(a, -1.0), (b, 1.0)] {
-                let reference = self.parameters.of_stream(s).reference.clone();
+                let reference = self.parameters.streams[s].reference.clone();
                 reference.take(3).enumerate().for_each(|(axis, parameter)| {
                     along[parameter] += sign * direction[axis];
                 });
@@ -244,7 +244,7 @@ impl CalibrationSystem<'_> {
     }
 
     pub fn sample_normal(&self, linearized: &[LinearizedStream]) -> Normal {
-        let mut normal = Normal::zeros(self.parameters.width());
+        let mut normal = Normal::zeros(self.parameters.width);
         for (source, stream) in self.sources.iter().zip(linearized) {
             let all: Vec<usize> = (0..stream.linear.width).collect();
             let mut own = Normal::zeros(stream.linear.width);
@@ -335,7 +335,7 @@ impl CalibrationSystem<'_> {
         // Neglects a product of frame errors, which the next iteration corrects.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
-            let own = self.parameters.of_stream(s);
+            let own = &self.parameters.streams[s];
             let twist = |range: &Range<usize>| -> [f64; 6] {
                 let mut twist = [0.0; 6];
                 twist.iter_mut().zip(range.clone()).for_each(|(part, at)| *part = step[at]);

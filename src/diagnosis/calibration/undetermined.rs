@@ -17,7 +17,7 @@ pub(super) fn undetermined_directions(
     link_m: f64,
     workspace: &TipSensitivity,
 ) -> Vec<UndeterminedDirection> {
-    let (links, all) = (parameters.links.len(), parameters.width());
+    let (links, all) = (parameters.links.len(), parameters.width);
     let prior = parameters.prior(link_m);
     let mut of_links = information.view((0, 0), (links, links)).into_owned();
     if all > links {

@@ -25,13 +25,11 @@ impl NumericTable {
         if rows.len() < super::LINEAR_FIT_ROWS / 3 || self.columns.len() > super::MAX_COLUMNS {
             return Vec::new();
         }
-        let logged: Vec<PositionColumns> = match constraints.position {
-            Some(position) => vec![position],
-            None => self.positions(constraints.taken),
-        }
-        .into_iter()
-        .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
-        .collect();
+        let logged: Vec<PositionColumns> = self
+            .possible_positions(constraints)
+            .into_iter()
+            .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
+            .collect();
         let blocks = self.candidate_blocks(constraints, 1);
         let near = blocks.par_iter().flat_map_iter(|block| {
             let JointColumns { arm, joints, .. } = block;

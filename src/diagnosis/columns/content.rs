@@ -118,7 +118,7 @@ impl NumericTable {
         const MIN_MOTION_S: f64 = 2.0;
         let reach = (0.5 * MIN_REST_S / self.step_s()).ceil() as usize;
         let both = [column, other].map(|column_index| {
-            let [low, high] = self.range(column_index);
+            let [low, high] = self.ranges[column_index];
             (&self.columns[column_index], MAX_REST_CHANGE * (high - low))
         });
         let is_still = |row: usize| {
@@ -139,7 +139,7 @@ impl NumericTable {
     /// Relation to the columns `others`.
     pub fn content(&self, column: usize, others: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
-        let [low, high] = self.range(column);
+        let [low, high] = self.ranges[column];
         if low == high {
             return ColumnContent::Constant;
         }

@@ -270,7 +270,7 @@ impl NumericTable {
 
     /// Whether it moves enough for a joint.
     pub fn moves(&self, column: usize) -> bool {
-        let [low, high] = self.range(column);
+        let [low, high] = self.ranges[column];
         high - low > MIN_COLUMN_RANGE
     }
 
@@ -407,7 +407,7 @@ impl NumericTable {
     }
 
     fn max_abs(&self, columns: &[usize]) -> f64 {
-        let ends = columns.iter().flat_map(|&column| self.range(column));
+        let ends = columns.iter().flat_map(|&column| self.ranges[column]);
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
@@ -422,7 +422,7 @@ impl NumericTable {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
             let (factor, zero) = unit.factor_and_offset(chain, at);
-            let [low, high] = self.range(column).map(|end| factor * end + zero);
+            let [low, high] = self.ranges[column].map(|end| factor * end + zero);
             let limits = chain.limits()[at];
             let within = tolerated_range(&limits);
             let is_beyond = low < *within.start() || high > *within.end();
@@ -442,10 +442,6 @@ impl NumericTable {
         moving >= min_moving
     }
 
-    fn range(&self, column: usize) -> [f64; 2] {
-        self.ranges[column]
-    }
-
     /// Columns that may be a position.
     pub fn positions(&self, taken: &[usize]) -> Vec<[usize; 3]> {
         let count = self.columns.len();
@@ -459,6 +455,12 @@ impl NumericTable {
                 && (triple[0]..triple[2]).all(|at| self.homes[at] == self.homes[triple[0]])
         };
         triples.filter(fits).collect()
+    }
+
+    /// The known position, or columns that may be one.
+    fn possible_positions(&self, constraints: &MappingConstraints) -> Vec<[usize; 3]> {
+        let all = || self.positions(constraints.taken);
+        constraints.position.map_or_else(all, |position| vec![position])
     }
 
     /// Small residual in the linear fit, best first.
@@ -483,10 +485,7 @@ impl NumericTable {
             ((self.t_s[rows[row]] - self.t_s[rows[0]]) / span_s - 0.5).powi(1 + power as i32)
         });
         let plain = residual_squares(&centred(plain), &logged);
-        let mut positions = match constraints.position {
-            Some(position) => vec![position],
-            None => self.positions(constraints.taken),
-        };
+        let mut positions = self.possible_positions(constraints);
         positions.retain(|position| {
             let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
             position.iter().map(|&c| plain[c]).sum::<f64>()
