@@ -94,57 +94,34 @@ pub(super) fn detect_outliers(
             let clock = clocks.clock(index, piece).zip(times.get(piece));
             clock.and_then(|(clock, times)| clock.stamp_of(times, row))
         };
-        let found = match &stream.columns {
+        match &stream.columns {
             _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
-            Some(Columns::Joints(joints)) => joint_outliers(joints, &|row| at(0, row)),
+            Some(Columns::Joints(joints)) => joint_outliers(index, joints, &|row| at(0, row)),
             Some(Columns::Poses(poses)) => {
-                let of = |(piece, poses)| pose_outliers(piece, poses, false, &|row| at(piece, row));
+                let of = |(piece, poses)| {
+                    pose_outliers((index, piece), poses, false, &|row| at(piece, row))
+                };
                 poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Transforms(poses)) => {
                 let of = |(piece, poses)| {
-                    let is_one = !is_of_two(index, piece);
-                    is_one
-                        .then(|| pose_outliers(piece, poses, true, &|row| at(piece, row)))
-                        .flatten()
+                    pose_outliers((index, piece), poses, true, &|row| at(piece, row))
                 };
-                poses.par_iter().enumerate().filter_map(of).collect()
+                let pieces = poses.par_iter().enumerate();
+                pieces.filter(|(piece, _)| !is_of_two(index, *piece)).filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {
-                array_outliers(array, &|row| at(0, row)).into_iter().collect()
+                array_outliers(index, array, &|row| at(0, row)).into_iter().collect()
             }
             _ => Vec::new(),
-        };
-        let stamped = found.into_iter().map(|found| {
-            let at = at(found.piece, found.farthest_row);
-            let PartOutliers { piece, frame, joint, rows, farthest, .. } = found;
-            Outliers {
-                stream: index,
-                frame,
-                joint,
-                largest_jump: farthest,
-                largest_at: at,
-                piece,
-                rows,
-            }
-        });
-        stamped.collect::<Vec<_>>()
+        }
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
 type StampOfRow<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
-struct PartOutliers {
-    piece: usize,
-    frame: Option<String>,
-    joint: Option<String>,
-    rows: Vec<usize>,
-    farthest: PoseDistance,
-    farthest_row: usize,
-}
-
-fn joint_outliers(joints: &JointColumns, at: StampOfRow) -> Vec<PartOutliers> {
+fn joint_outliers(stream: usize, joints: &JointColumns, at: StampOfRow) -> Vec<Outliers> {
     let of = |column: &JointColumn| {
         let q = &column.position;
         let known: Option<Vec<usize>> = q
@@ -156,13 +133,14 @@ fn joint_outliers(joints: &JointColumns, at: StampOfRow) -> Vec<PartOutliers> {
         let distance = |a: usize, b: usize| angular_distance(q[row(b)] - q[row(a)]);
         let jumps = find_jumps(samples, &|sample| at(row(sample)), distance)?;
         let (farthest, length_m) = largest_jump(&jumps)?;
-        Some(PartOutliers {
-            piece: 0,
+        Some(Outliers {
+            stream,
             frame: None,
             joint: Some(column.name.clone()),
+            largest_jump: PoseDistance { length_m, angle_rad: 0.0 },
+            largest_at: at(row(farthest)),
+            piece: 0,
             rows: identifiable_rows(&jumps, samples).map(row).collect(),
-            farthest: PoseDistance { length_m, angle_rad: 0.0 },
-            farthest_row: row(farthest),
         })
     };
     joints.joints.par_iter().filter_map(of).collect()
@@ -184,11 +162,11 @@ fn angular_distance(by: f64) -> f64 {
 /// Outliers of poses. Checks orientations only of a `transform`; misinterpreted ones jump without an
 /// outlier.
 fn pose_outliers(
-    piece: usize,
+    part: (usize, usize),
     poses: &PoseColumns,
     transform: bool,
     at: StampOfRow,
-) -> Option<PartOutliers> {
+) -> Option<Outliers> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
     let samples = poses.times.len();
     let moved = find_jumps(samples, at, |a, b| point_distance(poses.xyz[a], poses.xyz[b]))
@@ -197,11 +175,11 @@ fn pose_outliers(
         .then(|| find_jumps(samples, at, OrientationDistance(poses)))
         .flatten()
         .unwrap_or_default();
-    outliers_from_jumps(piece, frame, samples, &moved, &turned)
+    outliers_from_jumps(part, frame, [&moved, &turned], samples, at)
 }
 
 /// Outliers of unnamed positions; angles may jump by a turn.
-fn array_outliers(array: &ArrayColumns, at: StampOfRow) -> Option<PartOutliers> {
+fn array_outliers(stream: usize, array: &ArrayColumns, at: StampOfRow) -> Option<Outliers> {
     let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten();
     let xyz = |row: usize| match layout {
         Some(layout) => layout.split(array.row(row)).0,
@@ -209,29 +187,30 @@ fn array_outliers(array: &ArrayColumns, at: StampOfRow) -> Option<PartOutliers> 
     };
     let samples = array.times.len();
     let moved = find_jumps(samples, at, |a, b| point_distance(xyz(a), xyz(b)))?;
-    outliers_from_jumps(0, None, samples, &moved, &[])
+    outliers_from_jumps((stream, 0), None, [&moved, &[]], samples, at)
 }
 
 fn point_distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
+/// Outliers from jumps in position and in orientation.
 fn outliers_from_jumps(
-    piece: usize,
+    (stream, piece): (usize, usize),
     frame: Option<String>,
+    [moved, turned]: [&[(usize, f64)]; 2],
     samples: usize,
-    moved: &[(usize, f64)],
-    turned: &[(usize, f64)],
-) -> Option<PartOutliers> {
+    at: StampOfRow,
+) -> Option<Outliers> {
     let [by_length, by_angle] = [moved, turned].map(largest_jump);
-    let farthest_row = by_length.or(by_angle)?.0;
+    let largest_at = at(by_length.or(by_angle)?.0);
     let amount = |farthest: Option<(usize, f64)>| farthest.map_or(0.0, |(_, amount)| amount);
-    let farthest = PoseDistance { length_m: amount(by_length), angle_rad: amount(by_angle) };
+    let largest_jump = PoseDistance { length_m: amount(by_length), angle_rad: amount(by_angle) };
     let mut rows: Vec<usize> =
         identifiable_rows(moved, samples).chain(identifiable_rows(turned, samples)).collect();
     rows.sort_unstable();
     rows.dedup();
-    Some(PartOutliers { piece, frame, joint: None, rows, farthest, farthest_row })
+    Some(Outliers { stream, frame, joint: None, largest_jump, largest_at, piece, rows })
 }
 
 fn largest_jump(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
@@ -505,8 +484,8 @@ mod tests {
         let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();
         position[400] += 1.0;
         joints.joints.push(JointColumn::from_positions("a".into(), position));
-        let found = joint_outliers(&joints, &|_| None);
+        let found = joint_outliers(0, &joints, &|_| None);
         assert_eq!(found[0].rows, [400]);
-        assert!((found[0].farthest.length_m - 1.0).abs() < 0.1);
+        assert!((found[0].largest_jump.length_m - 1.0).abs() < 0.1);
     }
 }
