@@ -132,26 +132,17 @@ pub enum RunError {
 
 impl RunError {
     pub(super) fn is_of_the_call(&self) -> bool {
-        match self {
+        matches!(
+            self,
             Self::UnknownRobot { .. }
-            | Self::Calibration(_)
-            | Self::CalibrationOf { .. }
-            | Self::UnknownLink { .. }
-            | Self::Chain(_)
-            | Self::MissingJoints { .. }
-            | Self::JointMap { .. }
-            | Self::Declared { .. } => true,
-            Self::NoJointStates { .. }
-            | Self::NoSamples { .. }
-            | Self::NoModel { .. }
-            | Self::Ambiguous { .. }
-            | Self::Undistinguished { .. }
-            | Self::Numbered { .. }
-            | Self::SameMotion { .. }
-            | Self::UnknownJoints { .. }
-            | Self::TimeOrigins { .. }
-            | Self::Robot(_) => false,
-        }
+                | Self::Calibration(_)
+                | Self::CalibrationOf { .. }
+                | Self::UnknownLink { .. }
+                | Self::Chain(_)
+                | Self::MissingJoints { .. }
+                | Self::JointMap { .. }
+                | Self::Declared { .. }
+        )
     }
 
     /// The problem.

@@ -48,7 +48,7 @@ impl Segment {
 const MIN_MEDIAN_DURATION_S: f64 = 1.0;
 
 /// Splits a log at its restarts, or else its seams, in receive order.
-pub fn segments(log: Log) -> Vec<Segment> {
+pub fn segments(mut log: Log) -> Vec<Segment> {
     let moving = || log.topics.iter().filter(|topic| has_times(topic));
     let seams = seams(&log);
     if seams.is_empty() && !moving().flat_map(times_of).any(may_restart) {
@@ -81,33 +81,17 @@ pub fn segments(log: Log) -> Vec<Segment> {
     if median(&mut spans.clone()).is_none_or(|usual_s| usual_s < MIN_MEDIAN_DURATION_S) {
         return vec![Segment::whole(log)];
     }
+    // Each segment clones the rest of the log.
+    let topics = std::mem::take(&mut log.topics);
     spans
         .into_iter()
         .enumerate()
         .map(|(index, seconds)| {
-            let topics = log.topics.iter().map(|topic| segment_of_topic(topic, &restarts, index));
-            let log = Log { topics: topics.collect(), ..without_topics(&log) };
+            let own = topics.iter().map(|topic| segment_of_topic(topic, &restarts, index));
+            let log = Log { topics: own.collect(), ..log.clone() };
             Segment { log, duration_s: seconds, cut: Some(cut) }
         })
         .collect()
-}
-
-fn without_topics(log: &Log) -> Log {
-    Log {
-        files: log.files.clone(),
-        topics: Vec::new(),
-        descriptions: log.descriptions.clone(),
-        messages: log.messages,
-        span: log.span,
-        losses: log.losses.clone(),
-        notes: log.notes.clone(),
-        contradictions: log.contradictions.clone(),
-        repeats: log.repeats.clone(),
-        time_column: log.time_column.clone(),
-        tables: log.tables.clone(),
-        robot_type: log.robot_type.clone(),
-        question: log.question.clone(),
-    }
 }
 
 fn times_of(topic: &Topic) -> Vec<&Times> {
