@@ -12,6 +12,7 @@ use crate::time::Stamp;
 
 use super::part_series::{Part, PartSeries, PartValues, RowsOfPart};
 use super::pose_distance::PoseDistance;
+use super::poses::are_copied_stamps;
 use super::rows::Rows;
 use super::streams::with_key;
 
@@ -311,18 +312,14 @@ fn detect_in_series(
             starts
                 .map(move |start| group.first + start..group.first + group.count.min(start + most))
         });
-        let is_own = !is_of_joints && !has_frame && !are_copied_stamps(rows, joint_stamps);
+        let stamps: Vec<Stamp> = rows.iter().map(|(stamp, _)| *stamp).collect();
+        let is_own = !is_of_joints && !has_frame && !are_copied_stamps(&stamps, joint_stamps);
         let new =
             pieces.map(|rows| (series.rows[rows.start].1, corrected_stamp(series, rows, is_own)));
         repeats.new_rows = new.collect();
         repeats.new_rows.sort_unstable();
     }
     (repeats.repeated > 0).then_some(repeats)
-}
-
-fn are_copied_stamps(rows: &Rows, stamps: &[Stamp]) -> bool {
-    let copies = rows.iter().filter(|(stamp, _)| stamps.binary_search(stamp).is_ok()).count();
-    10 * copies >= 9 * rows.len()
 }
 
 /// Corrected time of a repeated value: the mean of its own stamps. Joint states, the time reference, and

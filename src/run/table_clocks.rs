@@ -229,13 +229,10 @@ fn rows_of(times: &Times) -> (i64, Vec<usize>, Vec<f64>) {
 }
 
 fn joint_track(columns: &JointColumns) -> (i64, JointTrack) {
-    let (origin, mut rows, mut t_s) = rows_of(&columns.times);
-    let is_whole = |row: &usize| columns.joints.iter().all(|it| it.position[*row].is_finite());
-    let kept: Vec<bool> = rows.iter().map(is_whole).collect();
-    let mut of_rows = kept.iter();
-    rows.retain(|_| of_rows.next().copied().unwrap_or(false));
-    let mut of_times = kept.iter();
-    t_s.retain(|_| of_times.next().copied().unwrap_or(false));
+    let (origin, rows, t_s) = rows_of(&columns.times);
+    let is_whole = |row: usize| columns.joints.iter().all(|it| it.position[row].is_finite());
+    let (rows, t_s): (Vec<usize>, Vec<f64>) =
+        rows.into_iter().zip(t_s).filter(|(row, _)| is_whole(*row)).unzip();
     let dof = columns.joints.len();
     let position = |at: usize, joint: usize| columns.joints[joint].position[rows[at]];
     let last = rows.len().saturating_sub(1);
