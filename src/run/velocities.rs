@@ -77,7 +77,7 @@ fn parabola(t_s: &[f64], q: &[f64], at: f64) -> Option<(f64, f64)> {
     Some((fit[0], fit[1]))
 }
 
-fn root_mean_square(values: &[f64]) -> f64 {
+pub(super) fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 

@@ -10,6 +10,7 @@ use super::super::arm::{Arm, ChainEnds};
 use super::super::catalogue_selection::RankingCriteria;
 use super::super::declaration::JointName;
 use super::super::error::RunError;
+use super::super::frozen::value_range;
 use super::super::given_calibrations::{self, GivenCalibration};
 use super::super::joints::JointTopic;
 use super::super::model::{LogModel, ModelClues};
@@ -275,10 +276,7 @@ fn are_arm_joints(joints: &[&JointColumn]) -> bool {
     const MIN_JOINTS: usize = 4;
     const MIN_MOTION: f64 = 0.02;
     let moves = |joint: &JointColumn| {
-        let finite = joint.position.iter().copied().filter(|q| q.is_finite());
-        let (low, high) = finite
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
-        high - low > MIN_MOTION
+        value_range(joint.position.iter().copied().filter(|q| q.is_finite())) > MIN_MOTION
     };
     let is_arms =
         |joint: &JointColumn| find_word(&split_words(&joint.name), NON_ARM_JOINT_WORDS).is_none();

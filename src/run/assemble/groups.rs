@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use super::super::joints::{JointTopic, JointTopics, SortedSamples};
 use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::streams::Stream;
+use super::super::velocities::root_mean_square;
 use crate::time::Stamp;
 
 /// Joint state topics in which each name refers to a single joint.
@@ -170,10 +171,6 @@ fn compare_joint(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<J
     }
     both.copied /= both.b.len().max(1) as f64;
     (!both.b.is_empty()).then_some(both)
-}
-
-fn root_mean_square(values: &[f64]) -> f64 {
-    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
 fn spread(values: &[f64]) -> f64 {

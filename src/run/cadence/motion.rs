@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::run::arm::Arm;
+use crate::run::frozen::value_range;
 use crate::run::joints::{JointTopic, SortedSamples};
 use crate::time::Stamp;
 
@@ -51,10 +52,7 @@ impl<'a> ArmMotion<'a> {
                 continue;
             }
             covered = true;
-            let span = &position[from..=to];
-            let low = span.iter().copied().fold(f64::INFINITY, f64::min);
-            let high = span.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            if high - low > MIN_MOTION {
+            if value_range(position[from..=to].iter().copied()) > MIN_MOTION {
                 return Some(true);
             }
         }

@@ -100,10 +100,7 @@ impl CommandRelation {
         };
         let place = |joint: &JointColumn| names.iter().position(|name| *name == joint.name);
         let of_state: Vec<usize> = joints.joints.iter().map(place).collect::<Option<_>>()?;
-        if names.len() != count || count > MAX_JOINTS {
-            return None;
-        }
-        if !joints.conversions.is_empty() {
+        if names.len() != count || count > MAX_JOINTS || !joints.conversions.is_empty() {
             return None;
         }
         let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };

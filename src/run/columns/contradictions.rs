@@ -1,6 +1,7 @@
 //! Table columns whose names contradict their numbers.
 
 use crate::log::{Log, Note};
+use crate::run::frozen::value_range;
 use crate::run::joint_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns};
 
@@ -41,15 +42,7 @@ fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     if joints.joints.len() < 7 || joints.converted_from_degrees {
         return None;
     }
-    let moves = |joint: &&JointColumn| {
-        let (least, most) = joint
-            .position
-            .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| {
-                (least.min(*value), most.max(*value))
-            });
-        most - least > MIN_SPAN
-    };
+    let moves = |joint: &&JointColumn| value_range(joint.position.iter().copied()) > MIN_SPAN;
     [3, 0].into_iter().find(|&at| {
         let four = &joints.joints[at..at + 4];
         let norm_squared =

@@ -178,12 +178,8 @@ impl<'a> ColumnSearch<'a> {
         let known = self.cells.columns_of_kind(NumberKind::Position);
         let positions: Vec<[usize; 3]> =
             known.chunks_exact(3).map(|own| [own[0], own[1], own[2]]).collect();
-        let are_joints_known = !self.cells.columns_of_kind(NumberKind::Joint).is_empty();
-        let mut taken: Vec<usize> = if are_joints_known {
-            self.cells.columns_of_kind(NumberKind::Joint)
-        } else {
-            Vec::new()
-        };
+        let mut taken = self.cells.columns_of_kind(NumberKind::Joint);
+        let are_joints_known = !taken.is_empty();
         while identified.arms.len() < MAX_ARMS {
             let chains = self.chains();
             let mut wanted = MappingConstraints {
@@ -419,12 +415,11 @@ impl<'a> ColumnSearch<'a> {
         let velocities = self.cells.table.rates_of(&mapping.joints).unwrap_or_default();
         let (pose, _) = self.with_rotation(mapping, wanted);
         let unit = match mapping.unit {
-            JointValueUnit::Radians => Some(None),
-            JointValueUnit::Degrees => Some(Some(AngleUnit::Degree)),
-            JointValueUnit::Ticks { .. } | JointValueUnit::Shares => None,
-        };
-        let Some(unit) = unit else {
-            return Answer { layout: None, lines: self.config_lines(mapping) };
+            JointValueUnit::Radians => None,
+            JointValueUnit::Degrees => Some(AngleUnit::Degree),
+            JointValueUnit::Ticks { .. } | JointValueUnit::Shares => {
+                return Answer { layout: None, lines: self.config_lines(mapping) };
+            }
         };
         self.answer(&[
             (None, Content::Joints(unit), &mapping.joints),
