@@ -262,24 +262,21 @@ impl Arm {
         let chain = |old: &Chain| {
             robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
         };
-        let poses = self
-            .poses
-            .iter()
-            .map(|source| Some(PoseSource { chain: chain(&source.chain)?, ..source.clone() }));
-        let imus = self
-            .imus
-            .iter()
-            .map(|source| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() }));
+        let pose_source = |source: &PoseSource| {
+            Some(PoseSource { chain: chain(&source.chain)?, ..source.clone() })
+        };
+        let imu_source =
+            |source: &ImuSource| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() });
         let tf = match &self.tf {
             // Transforms from the old model have the wrong lengths.
             Ok(_) if !self.from_model.is_empty() => Err(TfUnavailable::OtherModel),
-            Ok(source) => Ok(PoseSource { chain: chain(&source.chain)?, ..source.clone() }),
+            Ok(source) => Ok(pose_source(source)?),
             Err(why) => Err(why.clone()),
         };
         Some(Self {
             chain: chain(&self.chain)?,
-            poses: poses.collect::<Option<_>>()?,
-            imus: imus.collect::<Option<_>>()?,
+            poses: self.poses.iter().map(pose_source).collect::<Option<_>>()?,
+            imus: self.imus.iter().map(imu_source).collect::<Option<_>>()?,
             tf,
             robot,
             ..self.clone()

@@ -63,15 +63,8 @@ pub(super) fn group_joint_topics<'a>(
             }
         }
     }
-    if let [members] = groups.as_mut_slice() {
-        // In the order of the log.
-        members.sort_unstable();
-        return vec![JointStateGroup {
-            joints: JointTopics::new(topics, origin),
-            namespace: Namespace::default(),
-        }];
-    }
     let group = |(mut members, namespace): (Vec<usize>, Namespace)| {
+        // In the order of the log.
         members.sort_unstable();
         let topics = members.into_iter().map(|index| topics[index].clone()).collect();
         JointStateGroup { joints: JointTopics::new(topics, origin), namespace }

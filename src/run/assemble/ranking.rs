@@ -165,11 +165,7 @@ impl PoseRanking<'_> {
         if let Some(robot) = model.robot.under_other_convention() {
             let ranking = self.rank(&[&LogModel { robot, ..model.clone() }]);
             let turned = ranking.as_ref().and_then(|ranking| ranking.models.first());
-            if turned.is_some_and(|it| {
-                it.is_fit
-                    && it.hypothesis.assumption.is_faultless()
-                    && !it.hypothesis.is_misinterpreted
-            }) {
+            if turned.is_some_and(|it| it.is_fit && it.needs_no_fault()) {
                 return None;
             }
         }
@@ -206,9 +202,7 @@ impl PoseRanking<'_> {
             best.score + MIN_SCORE_DIFFERENCE < own.score
                 && MIN_RESIDUAL_RATIO * best.hypothesis.residual_m < own.hypothesis.residual_m
         });
-        let is_faultless =
-            best.hypothesis.assumption.is_faultless() && !best.hypothesis.is_misinterpreted;
-        let is_plausible = is_faultless && best.hypothesis.tool_m.norm() < MAX_TOOL_M;
+        let is_plausible = best.needs_no_fault() && best.hypothesis.tool_m.norm() < MAX_TOOL_M;
         if !is_better || !best.is_fit || !is_plausible {
             return None;
         }
@@ -233,11 +227,7 @@ impl PoseRanking<'_> {
         others.into_iter().any(|other| {
             let ranking = self.rank(&[&other]);
             let best = ranking.as_ref().and_then(|ranking| ranking.models.first());
-            best.is_some_and(|it| {
-                it.is_fit
-                    && it.hypothesis.assumption.is_faultless()
-                    && !it.hypothesis.is_misinterpreted
-            })
+            best.is_some_and(|it| it.is_fit && it.needs_no_fault())
         })
     }
 
