@@ -27,7 +27,6 @@ use super::namespace::Namespace;
 use super::norm_defects::{measure_norm_defects, release_values};
 use super::resolve::resolve;
 use super::role::Role;
-use super::stale;
 use super::streams::{Stream, mark_shared_topics, split, tf_topics};
 use super::tf_problems::detect_tf_problems;
 use super::timing::Timing;
@@ -148,18 +147,16 @@ impl Run {
             timing,
             tf,
             arms,
-            not_audited: unaudited,
+            not_audited,
             shared_streams,
             frozen,
-            searched_for_frozen: watched,
+            searched_for_frozen,
             ..
         } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
-        let (tf_problems, norms) = (
-            detect_tf_problems(&streams, &timing.sample_filter.publishers),
-            measure_norm_defects(&streams, &timing.clocks),
-        );
-        release_values(&mut streams, &norms);
+        let tf_problems = detect_tf_problems(&streams, &timing.sample_filter.publishers);
+        let norm_defects = measure_norm_defects(&streams, &timing.clocks);
+        release_values(&mut streams, &norm_defects);
         let rhythms = measure_rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let Timing { clocks, excerpts, sample_filter } = timing;
         Ok(Run {
@@ -176,15 +173,15 @@ impl Run {
             rhythms,
             tf_problems,
             wrapped,
-            norm_defects: norms,
+            norm_defects,
             shared_streams,
-            not_audited: unaudited,
+            not_audited,
             leaders: Vec::new(),
             undecided: Vec::new(),
-            frozen: stale::frozen_spans(&sample_filter.stale).chain(frozen).collect(),
+            frozen: sample_filter.stale.iter().map(|found| found.frozen).chain(frozen).collect(),
             tool_switching: Vec::new(),
             sample_filter,
-            searched_for_frozen: watched,
+            searched_for_frozen,
             excerpts,
             has_clock_topic,
             no_arm,
@@ -274,16 +271,13 @@ impl Assembly<'_> {
             return Ok(());
         }
         match &self.streams[stream].columns {
-            Some(Columns::Poses(_) | Columns::Array(_)) => self.assign_pose(stream),
-            Some(Columns::Imu(_)) => {
-                self.assign_imu(stream);
-                Ok(())
-            }
+            Some(Columns::Poses(_) | Columns::Array(_)) => self.assign_pose(stream)?,
+            Some(Columns::Imu(_)) => self.assign_imu(stream),
             Some(Columns::Transforms(_)) if self.streams[stream].role == Role::Tf => {
                 self.assign_tf(stream);
-                Ok(())
             }
-            _ => Ok(()),
+            _ => {}
         }
+        Ok(())
     }
 }

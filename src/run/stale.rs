@@ -133,10 +133,6 @@ fn usual_step(q: &[f64], noise: f64) -> f64 {
     }
 }
 
-pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = FrozenSpan> + '_ {
-    stale.iter().map(|found| found.frozen)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,7 +169,7 @@ mod tests {
             let found = detect(&columns);
             let [one] = found.as_slice() else { panic!("{noise}: {}", found.len()) };
             assert!((one.frozen.samples as i64 - 200).abs() < 5, "{:?}", one.frozen);
-            let times: Vec<FrozenSpan> = frozen_spans(&found).collect();
+            let times: Vec<FrozenSpan> = found.iter().map(|one| one.frozen).collect();
             let within = times[0].start..=times[0].end;
             assert!(within.contains(&Stamp::from_nanos(6_000_000_000)));
             let mut rows: Rows = (0..2000).map(|row| (Stamp::default(), row)).collect();

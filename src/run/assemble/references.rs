@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use crate::geometry::Pose;
 use crate::run::role::{Role, find_word, may_have_role, split_words};
-use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
+use crate::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, PoseTrack};
 
 use super::super::arm::{Arm, FrameAnchor};
 use super::super::poses;
@@ -87,9 +87,9 @@ impl Assembly<'_> {
                     let why = "each message contains several poses: a plan, not a goal".to_owned();
                     self.likeliest_arm(stream).map(|arm| (arm, Err(why)))
                 }
-                Some(Columns::Poses(_)) => {
-                    self.likeliest_arm(stream).map(|arm| (arm, self.commanded_poses(index, arm)))
-                }
+                Some(Columns::Poses(poses)) => self
+                    .likeliest_arm(stream)
+                    .map(|arm| (arm, self.commanded_poses(index, arm, poses))),
                 Some(Columns::Joints(joints)) => self.commanded_joints(index, joints),
                 Some(Columns::Array(array)) => self
                     .likeliest_arm(stream)
@@ -115,17 +115,18 @@ impl Assembly<'_> {
         rows
     }
 
-    fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
-        let stream = &self.streams[index];
-        let Some(Columns::Poses(columns)) = &stream.columns else {
-            return Err("it has no poses".to_owned());
-        };
-        let [columns] = columns.as_slice() else {
+    fn commanded_poses(
+        &self,
+        index: usize,
+        owner: usize,
+        poses: &[PoseColumns],
+    ) -> Result<ReferenceContent, String> {
+        let [columns] = poses else {
             return Err("each message contains several poses".to_owned());
         };
         let rows = self.selected_rows(index);
         let track = poses::from_poses(columns, &rows, None, self.origin)?.track;
-        self.transform_to_base(&self.arms[owner], stream, track)
+        self.transform_to_base(&self.arms[owner], &self.streams[index], track)
     }
 
     fn transform_to_base(

@@ -195,14 +195,11 @@ impl Assembly<'_> {
             let measured: Vec<usize> = (0..transforms.len())
                 .filter(|&piece| self.is_measured(&stream.topic, &transforms[piece]))
                 .collect();
-            let new: Vec<Stream> = measured
-                .iter()
-                .map(|&piece| {
-                    let mut new = self.streams[index].with_single_pose(transforms[piece].clone());
-                    new.role = Role::Unassigned;
-                    new
-                })
-                .collect();
+            let alone = |&piece: &usize| Stream {
+                role: Role::Unassigned,
+                ..stream.with_single_pose(transforms[piece].clone())
+            };
+            let new: Vec<Stream> = measured.iter().map(alone).collect();
             for (piece, stream) in measured.into_iter().zip(new) {
                 self.timing.share(index, piece);
                 self.streams.push(stream);
