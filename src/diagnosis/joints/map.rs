@@ -122,56 +122,52 @@ pub(crate) fn half_turns(angle: f64) -> f64 {
     ((angle - PI) / TAU).ceil()
 }
 
-pub(super) struct ArmInterpretation {
-    pub map: JointMap,
-    /// Only revolute joints to degrees, prismatic to millimetres.
-    pub is_unit: bool,
+/// Revolute and prismatic joints multiplied by a factor each.
+pub(super) fn scaled(chain: &Chain, turning: f64, sliding: f64) -> JointMap {
+    let kinds = chain.joint_kinds();
+    let factor = |kind: &JointKind| if *kind == JointKind::Prismatic { sliding } else { turning };
+    JointMap { factor: kinds.iter().map(factor).collect(), ..JointMap::as_logged(kinds.len()) }
 }
 
-/// Degrees, millimetres, other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that
-/// are radians.
-pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
-    let kinds = chain.joint_kinds();
-    let none = JointMap::as_logged(kinds.len());
-    let slides = |kind: &JointKind| *kind == JointKind::Prismatic;
-    let scaled = |turning: f64, sliding: f64| {
-        let factor = kinds.iter().map(|kind| if slides(kind) { sliding } else { turning });
-        JointMap { factor: factor.collect(), ..none.clone() }
-    };
+/// All revolute joints in degrees, all prismatic ones in millimetres, and both.
+pub(super) fn unit_maps(chain: &Chain) -> Vec<JointMap> {
     let degree = 1f64.to_radians();
-    let mut interpretations: Vec<ArmInterpretation> = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)]
-        .map(|(turning, sliding)| ArmInterpretation {
-            map: scaled(turning, sliding),
-            is_unit: true,
-        })
-        .into();
-    let mut add = |map: JointMap| interpretations.push(ArmInterpretation { map, is_unit: false });
+    let all = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)];
+    let all = all.map(|(turning, sliding)| scaled(chain, turning, sliding));
+    distinct(all, &[JointMap::as_logged(chain.dof())])
+}
+
+/// Other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that are radians.
+pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
+    let slides = |kind: &JointKind| *kind == JointKind::Prismatic;
+    let (kinds, degree) = (chain.joint_kinds(), 1f64.to_radians());
+    let mut maps = Vec::new();
     let angles = [TAU, PI, 1e-3, 1e-6, 0.1 * degree, 0.01 * degree, 1e-3 * degree, TAU / 400.0];
     for turning in angles.into_iter().chain([2.0, 0.5]) {
         for sign in [1.0, -1.0] {
-            add(scaled(sign * turning, 1.0));
+            maps.push(scaled(chain, sign * turning, 1.0));
             if kinds.iter().any(slides) {
-                add(scaled(sign * turning, 1e-3));
+                maps.push(scaled(chain, sign * turning, 1e-3));
             }
         }
     }
-    add(scaled(-1.0, 1.0));
-    add(scaled(-1.0, -1.0));
-    add(scaled(-degree, 1.0));
+    maps.push(scaled(chain, -1.0, 1.0));
+    maps.push(scaled(chain, -1.0, -1.0));
+    maps.push(scaled(chain, -degree, 1.0));
     // Radians declared as degrees.
-    add(scaled(1.0 / degree, 1.0));
+    maps.push(scaled(chain, 1.0 / degree, 1.0));
     for bits in 8..=24 {
         let tick = TAU / f64::from(1 << bits);
         for sign in [1.0, -1.0] {
-            let map = scaled(sign * tick, 1.0);
+            let map = scaled(chain, sign * tick, 1.0);
             let mut centred = map.clone();
             for (zero, kind) in centred.zero.iter_mut().zip(kinds) {
                 *zero = if slides(kind) { 0.0 } else { -sign * PI };
             }
-            add(map);
-            add(centred);
+            maps.extend([map, centred]);
         }
     }
+    let none = JointMap::as_logged(kinds.len());
     for [low, high] in [[-100.0, 100.0], [0.0, 100.0], [-1.0, 1.0], [0.0, 1.0]] {
         let mut map = none.clone();
         for (j, limits) in chain.limits().iter().enumerate() {
@@ -180,22 +176,20 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
                 map.zero[j] = lower - map.factor[j] * low;
             }
         }
-        add(map);
+        maps.push(map);
     }
-    interpretations.retain(|interpretation| interpretation.map != none);
-    let mut distinct: Vec<ArmInterpretation> = Vec::new();
-    for interpretation in interpretations {
-        if !distinct.iter().any(|other| other.map == interpretation.map) {
-            distinct.push(interpretation);
+    distinct(maps, &[unit_maps(chain), vec![none]].concat())
+}
+
+/// Each of `maps` that is not among `known`, once.
+fn distinct(maps: impl IntoIterator<Item = JointMap>, known: &[JointMap]) -> Vec<JointMap> {
+    let mut distinct: Vec<JointMap> = Vec::new();
+    for map in maps {
+        if !known.contains(&map) && !distinct.contains(&map) {
+            distinct.push(map);
         }
     }
     distinct
-}
-
-/// All revolute joints in degrees, all prismatic ones in millimetres, and both.
-pub(super) fn unit_maps(chain: &Chain) -> impl Iterator<Item = JointMap> {
-    let all = arm_interpretations(chain).into_iter();
-    all.filter(|interpretation| interpretation.is_unit).map(|interpretation| interpretation.map)
 }
 
 /// Exhaustive search (7! = 5040).

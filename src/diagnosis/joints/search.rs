@@ -4,7 +4,7 @@
 
 use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{
-    Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders, unit_maps,
+    Coupling, JointMap, MAX_PERMUTED_JOINTS, candidate_orders, other_maps, unit_maps,
 };
 use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
@@ -238,6 +238,7 @@ pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
     let is_out = none.out_of_range(view.chain, &view.spans);
     let in_range = unit_maps(view.chain)
+        .into_iter()
         .find(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
     let ordered = reordered(view, FreeFrames::Both);
     let nearest = best_proposals(view, ordered, FreeFrames::Both, 1);
@@ -264,21 +265,17 @@ fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
 fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = &view.thinned(ROUGH_SAMPLES);
     let none = JointMap::as_logged(view.chain.dof());
-    let interpretation = arm_interpretations(view.chain)
-        .into_iter()
-        .map(|interpretation| {
-            unrefined(interpretation.map, if interpretation.is_unit { 1.0 } else { 1.25 })
-        })
-        .collect();
-    let mut proposals = best_proposals(thin, interpretation, freedom, REFINED_PROPOSALS / 2);
+    let nearest = |proposals| best_proposals(thin, proposals, freedom, REFINED_PROPOSALS / 2);
+    let units = unit_maps(view.chain).into_iter().map(|map| unrefined(map, 1.0));
+    let others = other_maps(view.chain).into_iter().map(|map| unrefined(map, 1.25));
+    let mut proposals = nearest(units.chain(others).collect());
     let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
         // They can be equivalent to one mirrored axis, which is a single cause.
         reversed.retain(|proposal| proposal.price < MIRROR_PRICE);
     }
-    proposals.extend(best_proposals(thin, reversed, freedom, REFINED_PROPOSALS / 2));
-    let in_degrees = subsets_in_degrees(view, &none);
-    proposals.extend(best_proposals(thin, in_degrees, freedom, REFINED_PROPOSALS / 2));
+    proposals.extend(nearest(reversed));
+    proposals.extend(nearest(subsets_in_degrees(view, &none)));
     proposals.extend(common_gear(thin, &none, freedom));
     proposals.extend(
         (0..view.chain.dof()).flat_map(|joint| single_joint(thin, &none, 0.0, freedom, joint)),
@@ -292,7 +289,7 @@ fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
 
 /// Reversing all joints in that unit would also fit, but with rotated frames.
 fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
-    let map = unit_maps(view.chain).find(|unit| is_mirrored(view, unit))?;
+    let map = unit_maps(view.chain).into_iter().find(|unit| is_mirrored(view, unit))?;
     let max_residual =
         ResidualSize { m: MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz), rad: None };
     Some(JointInterpretation { map, residual: max_residual, runner_up_m: None })
@@ -391,7 +388,7 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
-    let units = unit_maps(view.chain).map(|unit| (unit, 1.0));
+    let units = unit_maps(view.chain).into_iter().map(|unit| (unit, 1.0));
     let bases = std::iter::once((none.clone(), 0.0)).chain(units);
     let all = bases
         .flat_map(|(base, price)| {
@@ -430,6 +427,7 @@ fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
 fn unit_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(ROUGH_SAMPLES);
     let pairs: Vec<(JointMap, usize)> = unit_maps(view.chain)
+        .into_iter()
         .flat_map(|unit| (0..view.chain.dof()).map(move |joint| (unit.clone(), joint)))
         .collect();
     pairs
