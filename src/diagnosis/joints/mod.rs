@@ -11,8 +11,7 @@ mod single_joint;
 mod slow_samples;
 
 use self::slow_samples::{
-    JOINT_ENCODING_SAMPLES, SimultaneousSamples, converted_to_radians, normalize_velocities,
-    slow_simultaneous_samples,
+    JOINT_ENCODING_SAMPLES, SimultaneousSamples, normalize_velocities, slow_simultaneous_samples,
 };
 use crate::frames::position_fit::{FkColumns, spread};
 use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
@@ -430,14 +429,21 @@ fn to_encoding(
 
 /// Neither stream nor FK move the tip, in radians or degrees.
 fn is_at_rest(chain: &Chain, samples: &SimultaneousSamples) -> bool {
-    let radians = converted_to_radians(chain, samples);
-    let fk = |samples: &SimultaneousSamples| -> Vec<Vec3> {
-        let rows = samples.q.chunks_exact(chain.dof());
-        rows.map(|q| chain.forward(q).translation.vector).collect()
+    let [as_logged, in_degrees] = UNITS.map(|unit| fk_positions(chain, samples, unit));
+    [&samples.xyz, &as_logged, &in_degrees].into_iter().all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
+}
+
+/// Radians and degrees.
+const UNITS: [f64; 2] = [1.0, std::f64::consts::PI / 180.0];
+
+/// FK at the samples, with revolute joints in `unit`, rad.
+fn fk_positions(chain: &Chain, samples: &SimultaneousSamples, unit: f64) -> Vec<Vec3> {
+    let (map, mut q) = (map::scaled(chain, unit, 1.0), vec![0.0; chain.dof()]);
+    let at = |row: &[f64]| {
+        map.apply(row, &mut q);
+        chain.forward(&q).translation.vector
     };
-    [&samples.xyz, &fk(samples), &fk(&radians)]
-        .into_iter()
-        .all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
+    samples.q.chunks_exact(chain.dof()).map(at).collect()
 }
 
 /// A tip at the position given by FK confirms names and unit without any free frame; elsewhere it is
@@ -447,14 +453,11 @@ fn encoding_at_rest(
     samples: &SimultaneousSamples,
     reference_known: bool,
 ) -> EstimateResult<JointEncoding> {
-    let distance = |samples: &SimultaneousSamples| -> f64 {
-        let rows = samples.q.chunks_exact(chain.dof()).zip(&samples.xyz);
-        let squares =
-            rows.map(|(q, xyz)| (chain.forward(q).translation.vector - xyz).norm_squared());
+    let [as_logged, corrected] = UNITS.map(|unit| {
+        let fk = fk_positions(chain, samples, unit);
+        let squares = fk.iter().zip(&samples.xyz).map(|(fk, xyz)| (fk - xyz).norm_squared());
         (squares.sum::<f64>() / samples.xyz.len().max(1) as f64).sqrt()
-    };
-    let (as_logged, corrected) =
-        (distance(samples), distance(&converted_to_radians(chain, samples)));
+    });
     let is_plausible = |distance: f64, other: f64| {
         distance < MAX_REST_DISTANCE_SHARE * chain.max_reach_m()
             && distance * MIN_RESIDUAL_RATIO < other

@@ -3,12 +3,10 @@
 use crate::PoseStream;
 use crate::samples::sampling::as_rotations;
 use ground::geometry::{Rotation, Vec3};
-use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
 
 pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
 
-#[derive(Clone)]
 pub(super) struct SimultaneousSamples {
     pub xyz: Vec<Vec3>,
     /// Rotations, if decoded.
@@ -91,18 +89,4 @@ fn slow_rows(speeds: &[f64]) -> Vec<usize> {
     slow.truncate(slow.len().div_ceil(2));
     slow.sort_unstable();
     slow
-}
-
-pub(super) fn converted_to_radians(
-    chain: &Chain,
-    samples: &SimultaneousSamples,
-) -> SimultaneousSamples {
-    let kinds = chain.joint_kinds();
-    let convert = |(i, q): (usize, &f64)| {
-        if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
-    };
-    SimultaneousSamples {
-        q: samples.q.iter().enumerate().map(convert).collect(),
-        ..samples.clone()
-    }
 }
