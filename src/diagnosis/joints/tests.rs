@@ -5,7 +5,7 @@ use super::search::{InterpretationKind, SearchOutcome, search_kind};
 use super::slow_samples::{JOINT_ENCODING_SAMPLES, slow_simultaneous_samples};
 use crate::frames::position_fit::spread;
 use crate::test_random::Lcg;
-use crate::{PoseStream, diagnose_arm, test_motion};
+use crate::{diagnose_arm, test_motion};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
@@ -59,6 +59,14 @@ fn find_map(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFram
 fn assert_near(find_map: &[f64], expected: &[f64], most: f64) {
     let near = find_map.iter().zip(expected).all(|(a, b)| (a - b).abs() < most);
     assert!(near, "{find_map:?}, not {expected:?}");
+}
+
+/// Poses of the tip for all rows of `joints`.
+fn tip_track(joints: &JointTrack, chain: &Chain) -> PoseTrack {
+    let poses = joints.q.chunks(chain.dof()).map(|q| chain.forward(q));
+    let (xyz, rotations) = poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+    let orientation = Orientations::Rotations(rotations);
+    PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
 }
 
 fn tcp() -> Pose {
@@ -206,37 +214,20 @@ fn samples_of_an_arm_that_dwells_show_other_places() {
     };
     let rows: Vec<Vec<f64>> =
         (0..DWELL_ROWS + 100).map(|row| home.map(|q| q + moves(row)).to_vec()).collect();
-    let poses: Vec<Pose> = rows.iter().map(|q| chain.forward(q)).collect();
     let t_s: Vec<f64> = (0..rows.len()).map(|row| 0.01 * row as f64).collect();
     let rates = (1..=rows.len()).map(|row| {
         let rate = 100.0 * (moves(row.min(rows.len() - 1)) - moves(row - 1));
         [rate; 6]
     });
     let joints = JointTrack {
-        t_s: t_s.clone(),
+        t_s,
         dof: chain.dof(),
         qd: rates.flatten().collect(),
         q: rows.concat(),
         noise: Vec::new(),
     };
-    let track = PoseTrack {
-        t_s,
-        xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
-        orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
-        declared: None,
-    };
-    let columns: Vec<usize> = (0..chain.dof()).collect();
-    let stream = PoseStream {
-        track: &track,
-        chain: &chain,
-        columns: &columns,
-        reference_known: true,
-        stamp_error_s: 0.0,
-        stamps_copied: false,
-        removed_ramp: None,
-        last_turn: crate::LastTurn::Unknown,
-        moving_frame: None,
-    };
+    let track = tip_track(&joints, &chain);
+    let stream = test_motion::tip_stream(&track, &chain);
     let samples = slow_simultaneous_samples(&joints, &stream, 1.0, 0.0);
     assert!(samples.xyz.len() >= JOINT_ENCODING_SAMPLES / 2, "{} samples", samples.xyz.len());
     assert!(spread(&samples.xyz) > 0.2 * spread(&track.xyz), "{} m", spread(&samples.xyz));
@@ -246,13 +237,7 @@ fn samples_of_an_arm_that_dwells_show_other_places() {
 fn a_joint_reversed_among_degrees_is_multiplied_by_minus_one() {
     const REVERSED: usize = 3;
     let (joints, chain) = test_motion::arm();
-    let poses: Vec<Pose> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
-    let track = PoseTrack {
-        t_s: joints.t_s.clone(),
-        xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
-        orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
-        declared: None,
-    };
+    let track = tip_track(&joints, &chain);
     let mut logged = joints.clone();
     for values in [&mut logged.q, &mut logged.qd] {
         values.iter_mut().for_each(|value| *value = value.to_degrees());
@@ -270,14 +255,7 @@ fn a_joint_reversed_among_degrees_is_multiplied_by_minus_one() {
 fn some_joints_in_degrees_are_found_beside_others_in_radians() {
     const IN_DEGREES: [usize; 2] = [1, 4];
     let (mut joints, chain) = test_motion::arm();
-    let (xyz, rotations) = joints
-        .q
-        .chunks(6)
-        .map(|q| chain.forward(q))
-        .map(|p| (p.translation.vector, p.rotation))
-        .unzip();
-    let orientation = Orientations::Rotations(rotations);
-    let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+    let track = tip_track(&joints, &chain);
     for values in [&mut joints.q, &mut joints.qd] {
         for row in values.chunks_mut(6) {
             IN_DEGREES.into_iter().for_each(|joint| row[joint] = row[joint].to_degrees());
