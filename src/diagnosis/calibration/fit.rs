@@ -168,7 +168,7 @@ impl CalibrationSystem<'_> {
         let all_free = fitted(&self.sample_normal(linearized));
         let folds = self.cross_validated(linearized, state, fitted);
         let residual = |(source, stream): (&StreamSource, &LinearizedStream)| {
-            rms_residual(&[stream.after(&(&source.columns * &all_free))])
+            rms_residual(&[stream.linear.residuals_after((&source.columns * &all_free).as_slice())])
         };
         self.sources.iter().zip(linearized).map(residual).zip(folds).collect()
     }
@@ -213,7 +213,7 @@ impl CalibrationSystem<'_> {
                 step += held_out.step(&none, &unseen);
             }
             for ((all, part), source) in all.iter_mut().zip(&held_out_parts).zip(self.sources) {
-                all.push(part.after(&(&source.columns * &step)));
+                all.push(part.linear.residuals_after((&source.columns * &step).as_slice()));
             }
         }
         all.iter().map(|folds| rms_residual(folds)).collect()

@@ -141,7 +141,7 @@ impl CalibrationParameters {
         let own = &self.streams[stream];
         let [reference, tool] = [&own.reference, &own.tool].map(|frame| !frame.is_empty());
         let mut columns =
-            self.shared_columns_where(stream, reference, tool).resize_horizontally(self.width, 0.0);
+            self.shared_columns(stream, reference, tool).resize_horizontally(self.width, 0.0);
         for (link, frame) in [(0, &own.reference), (self.joints, &own.tool)] {
             for (axis, parameter) in frame.clone().enumerate() {
                 columns[(6 * link + axis, parameter)] = 1.0;
@@ -153,12 +153,8 @@ impl CalibrationParameters {
         columns
     }
 
-    /// Maps the shared parameters, with known frames.
-    pub fn shared_columns(&self, stream: usize) -> DMatrix<f64> {
-        self.shared_columns_where(stream, false, false)
-    }
-
-    fn shared_columns_where(
+    /// Maps the shared parameters.
+    pub fn shared_columns(
         &self,
         stream: usize,
         reference_is_free: bool,

@@ -45,10 +45,6 @@ impl LinearizedStream {
         let weights = self.weights.iter().map(|weight| weight.subset(samples)).collect();
         Self { linear: self.linear.subset(samples), weights }
     }
-
-    pub fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
-        self.linear.residuals_after(step.as_slice())
-    }
 }
 
 pub(super) struct StreamSource<'a> {
@@ -196,12 +192,13 @@ impl CalibrationSystem<'_> {
             self.sources.iter().map(|source| source.stream.held_out_group).collect();
         let (_, by_group) = self.folds();
         let group = groups.into_iter().nth(fold).flatten();
-        let of = |(source, stream): (&StreamSource, &LinearizedStream)| match by_group {
-            false => stream.part(&stream.blocks(fold)),
-            true if source.stream.held_out_group == group => {
-                stream.part(&(0..stream.linear.len()).collect::<Vec<_>>())
-            }
-            true => stream.part(&[]),
+        let of = |(source, stream): (&StreamSource, &LinearizedStream)| {
+            let is_held_out = source.stream.held_out_group == group;
+            let samples = match by_group {
+                false => stream.blocks(fold),
+                true => (0..stream.linear.len()).filter(|_| is_held_out).collect(),
+            };
+            stream.part(&samples)
         };
         self.sources.iter().zip(linearized).map(of).collect()
     }

@@ -33,7 +33,7 @@ impl TipSensitivity {
         let design = DMatrix::from_fn(rows, linear.width, |row, column| {
             linear.row(row / 6, row % 6)[column]
         });
-        let mut effects = &design * parameters.shared_columns(0);
+        let mut effects = &design * parameters.shared_columns(0, false, false);
         let joints = system.path.axes.len();
         let is_free = |link: usize| parameters.links.iter().all(|one| one.link != link);
         let free: Vec<usize> = [0, joints]
