@@ -149,54 +149,32 @@ mod tests {
 
     #[test]
     fn a_convention_is_identified_if_only_the_other_explains() {
-        assert_eq!(
-            convention_of(&[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL))], [2, 0]),
-            DhConventionResult::Other
-        );
-        assert_eq!(
-            convention_of(&[(NOT_DECODED, Some(NOMINAL))], [0, 1]),
-            DhConventionResult::Other
-        );
-        assert_eq!(
-            convention_of(&[(SMALL_RESIDUAL, None)], [1, 0]),
-            DhConventionResult::AsDeclared
-        );
-        assert_eq!(
-            convention_of(&[(SMALL_RESIDUAL, Some(SMALL_RESIDUAL))], [1, 1]),
-            DhConventionResult::AsDeclared
-        );
-        assert_eq!(
-            convention_of(&[(SMALL_RESIDUAL, Some(SMALL_RESIDUAL))], [2, 0]),
-            DhConventionResult::Either
-        );
-        assert_eq!(
-            convention_of(&[([0.02, 0.0], Some(NOMINAL))], [0, 0]),
-            DhConventionResult::Either
-        );
-        assert_eq!(
-            convention_of(&[(LARGE_RESIDUAL, Some(LARGE_RESIDUAL))], [0, 0]),
-            DhConventionResult::Neither
-        );
-        assert_eq!(convention_of(&[(LARGE_RESIDUAL, None)], [0, 0]), DhConventionResult::Neither);
+        for (declared, other, faults, expected) in [
+            (LARGE_RESIDUAL, Some(SMALL_RESIDUAL), [2, 0], DhConventionResult::Other),
+            (NOT_DECODED, Some(NOMINAL), [0, 1], DhConventionResult::Other),
+            (SMALL_RESIDUAL, None, [1, 0], DhConventionResult::AsDeclared),
+            (SMALL_RESIDUAL, Some(SMALL_RESIDUAL), [1, 1], DhConventionResult::AsDeclared),
+            (SMALL_RESIDUAL, Some(SMALL_RESIDUAL), [2, 0], DhConventionResult::Either),
+            ([0.02, 0.0], Some(NOMINAL), [0, 0], DhConventionResult::Either),
+            (LARGE_RESIDUAL, Some(LARGE_RESIDUAL), [0, 0], DhConventionResult::Neither),
+            (LARGE_RESIDUAL, None, [0, 0], DhConventionResult::Neither),
+        ] {
+            let found = convention_of(&[(declared, other)], faults);
+            assert_eq!(found, expected, "{declared:?} {other:?} {faults:?}");
+        }
     }
 
     #[test]
     fn a_stream_that_neither_convention_explains_is_ignored() {
         let stranger = (NOT_DECODED, Some(NOT_DECODED));
-        assert_eq!(
-            convention_of(&[stranger, (SMALL_RESIDUAL, None)], [0, 0]),
-            DhConventionResult::AsDeclared
-        );
-        assert_eq!(
-            convention_of(&[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL)), stranger], [0, 0]),
-            DhConventionResult::Other
-        );
-        assert_eq!(
-            convention_of(
-                &[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL)), (SMALL_RESIDUAL, Some(LARGE_RESIDUAL))],
-                [0, 0]
-            ),
-            DhConventionResult::Either
-        );
+        let (for_declared, for_other) =
+            ((SMALL_RESIDUAL, Some(LARGE_RESIDUAL)), (LARGE_RESIDUAL, Some(SMALL_RESIDUAL)));
+        for (streams, expected) in [
+            ([stranger, (SMALL_RESIDUAL, None)], DhConventionResult::AsDeclared),
+            ([for_other, stranger], DhConventionResult::Other),
+            ([for_other, for_declared], DhConventionResult::Either),
+        ] {
+            assert_eq!(convention_of(&streams, [0, 0]), expected, "{streams:?}");
+        }
     }
 }
