@@ -138,27 +138,7 @@ impl Stream {
             count,
             dropped,
             columns: Some(Columns::Poses(vec![poses])),
-            ..self.clone_without_columns()
-        }
-    }
-
-    fn clone_without_columns(&self) -> Self {
-        Stream {
-            topic: self.topic.clone(),
-            type_name: self.type_name.clone(),
-            role: self.role,
-            reason: self.reason.clone(),
-            arm: self.arm,
-            frame_id: self.frame_id.clone(),
-            child_frame_id: self.child_frame_id.clone(),
-            reference: self.reference.clone(),
-            link: self.link.clone(),
-            read_as: self.read_as.clone(),
-            is_from_table: self.is_from_table,
-            cells: self.cells.clone(),
-            unidentified: self.unidentified.clone(),
-            columns: None,
-            ..*self
+            ..self.clone()
         }
     }
 }

@@ -187,23 +187,24 @@ impl Assembly<'_> {
     /// neither is nor carries a link.
     pub(super) fn measured_transforms(&mut self) {
         for index in 0..self.streams.len() {
+            // The new streams are copies without the columns.
+            let columns = self.streams[index].columns.take();
             let stream = &self.streams[index];
-            let (Role::Tf, Some(Columns::Transforms(transforms))) = (stream.role, &stream.columns)
-            else {
-                continue;
-            };
-            let measured: Vec<usize> = (0..transforms.len())
-                .filter(|&piece| self.is_measured(&stream.topic, &transforms[piece]))
-                .collect();
-            let alone = |&piece: &usize| Stream {
-                role: Role::Unassigned,
-                ..stream.with_single_pose(transforms[piece].clone())
-            };
-            let new: Vec<Stream> = measured.iter().map(alone).collect();
-            for (piece, stream) in measured.into_iter().zip(new) {
-                self.timing.share(index, piece);
-                self.streams.push(stream);
+            if let (Role::Tf, Some(Columns::Transforms(transforms))) = (stream.role, &columns) {
+                let measured: Vec<usize> = (0..transforms.len())
+                    .filter(|&piece| self.is_measured(&stream.topic, &transforms[piece]))
+                    .collect();
+                let alone = |&piece: &usize| Stream {
+                    role: Role::Unassigned,
+                    ..stream.with_single_pose(transforms[piece].clone())
+                };
+                let new: Vec<Stream> = measured.iter().map(alone).collect();
+                for (piece, stream) in measured.into_iter().zip(new) {
+                    self.timing.share(index, piece);
+                    self.streams.push(stream);
+                }
             }
+            self.streams[index].columns = columns;
         }
     }
 
