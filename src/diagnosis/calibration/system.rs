@@ -49,7 +49,6 @@ impl LinearizedStream {
 
 pub(super) struct StreamSource<'a> {
     pub stream: &'a CalibrationStream<'a>,
-    xyz: Vec<Vec3>,
     stride: usize,
     pub columns: DMatrix<f64>,
     rest_speeds: Vec<f64>,
@@ -58,8 +57,7 @@ pub(super) struct StreamSource<'a> {
 impl<'a> StreamSource<'a> {
     pub fn new(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
         let stride = stream.t_s.len().div_ceil(MAX_SAMPLES).max(1);
-        let xyz = stream.poses.iter().map(|pose| pose.translation.vector).collect();
-        Self { stream, xyz, stride, columns, rest_speeds: vec![0.0; stream.joints.dof] }
+        Self { stream, stride, columns, rest_speeds: vec![0.0; stream.joints.dof] }
     }
 
     /// Per joint of the chain while poses are available.
@@ -87,7 +85,7 @@ impl<'a> StreamSource<'a> {
             reference_known: stream.reference_freedom == FrameFreedom::Known,
             rest_speeds: &self.rest_speeds,
             t_s: stream.t_s.clone(),
-            xyz: self.xyz.clone(),
+            xyz: stream.poses.iter().map(|pose| pose.translation.vector).collect(),
             rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
             excluded: ExcludedComponents {
                 position: stream.excluded,

@@ -84,8 +84,10 @@ pub(crate) fn decode_stream<'a>(
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let interpretations = interpretations(placement, spread(&at), reference_known);
     let first = interpretations[0];
+    let other =
+        in_other_angle_unit(track, &rows, &turning, reference_known, first.corrections()).unzip();
     let (orientation, degrees) =
-        in_detected_angle_unit(track, &rows, &turning, reference_known, first.corrections());
+        (other.0.map_or(Cow::Borrowed(&track.orientation), Cow::Owned), other.1);
     let there = at_rows(&orientation, &rows);
     let turning = OrientationSamples {
         logged: LoggedRotations::from_orientations(&there),
@@ -247,15 +249,15 @@ pub(crate) fn max_angle(rotations: &[Rotation]) -> f64 {
     rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
-/// Orientations in the detected angle unit, and the unit slip if it differs from the logged or declared
-/// one.
-fn in_detected_angle_unit<'a>(
-    track: &'a PoseTrack,
+/// Orientations in the other angle unit than the logged or declared one, if they match FK only then, with the residuals
+/// in both.
+fn in_other_angle_unit(
+    track: &PoseTrack,
     rows: &[usize],
     fk: &[Rotation],
     reference_known: bool,
     after: RotationCorrections,
-) -> (Cow<'a, Orientations>, Option<UnitResiduals>) {
+) -> Option<(Orientations, UnitResiduals)> {
     let other = match (&track.orientation, &track.declared) {
         (Orientations::Numbers(numbers), _) => {
             Orientations::Numbers(numbers.iter().map(|n| n.map(f64::to_radians)).collect())
@@ -263,12 +265,12 @@ fn in_detected_angle_unit<'a>(
         (_, Some(DeclaredUnits { in_other_angles: Some(rotations), .. })) => {
             Orientations::Rotations(rotations.clone())
         }
-        _ => return (Cow::Borrowed(&track.orientation), None),
+        _ => return None,
     };
     // A constant rotation is constant in any unit.
     let turns = |orientation: &Orientations| turn_rad(&at_rows(orientation, rows)) > MIN_TURN_RAD;
     if !turns(&track.orientation) && !turns(&other) {
-        return (Cow::Borrowed(&track.orientation), None);
+        return None;
     }
     let residual = |orientation: &Orientations| {
         let there = at_rows(orientation, rows);
@@ -288,14 +290,10 @@ fn in_detected_angle_unit<'a>(
     let as_logged = residual(&track.orientation);
     // No unit explains more.
     if as_logged <= MAX_RESIDUAL_DIFFERENCE_RAD {
-        return (Cow::Borrowed(&track.orientation), None);
+        return None;
     }
     let corrected = residual(&other);
-    if corrected * 3.0 < as_logged {
-        (Cow::Owned(other), Some(UnitResiduals { as_logged, corrected }))
-    } else {
-        (Cow::Borrowed(&track.orientation), None)
-    }
+    (corrected * 3.0 < as_logged).then_some((other, UnitResiduals { as_logged, corrected }))
 }
 
 /// Whether the log has quaternions rather than three declared numbers.
