@@ -237,8 +237,5 @@ fn tip_poses_of_stream(
     let witness = |kind| TipPoseSource { name: run.streams[source.stream].topic.clone(), kind };
     let corrected = (witness(TipPoseKind::Corrected), series(|aligned| &aligned.corrected));
     let as_logged = (witness(TipPoseKind::AsLogged), series(|aligned| &aligned.logged));
-    match source.reference_known {
-        true => vec![corrected, as_logged],
-        false => vec![corrected],
-    }
+    if source.reference_known { vec![corrected, as_logged] } else { vec![corrected] }
 }

@@ -175,10 +175,7 @@ pub(super) fn joints_of_positioner(
     let joints: BTreeSet<&String> = above.map(|joint| &driving_joint(robot, joint).name).collect();
     let is_own =
         |joint: &&String| logged(joint) && !arms.iter().any(|arm| arm.joints.contains(joint));
-    match joints.iter().all(is_own) {
-        true => joints.into_iter().cloned().collect(),
-        false => Vec::new(),
-    }
+    if joints.iter().all(is_own) { joints.into_iter().cloned().collect() } else { Vec::new() }
 }
 
 pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<Item = &Joint> {

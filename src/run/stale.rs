@@ -127,10 +127,7 @@ fn usual_step(q: &[f64], noise: f64) -> f64 {
     let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
     let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
     let middle = steps.len() / 2;
-    match steps.is_empty() {
-        true => 0.0,
-        false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
-    }
+    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 #[cfg(test)]

@@ -75,10 +75,7 @@ impl PositionEncodingEstimate {
             let by_size = sized.as_ref().ok().copied().filter(|&metres| {
                 metres != 1.0 && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
             });
-            let by_poses = match reference_known {
-                true => None,
-                false => unit_by_poses(track, &rows, &fk),
-            };
+            let by_poses = if reference_known { None } else { unit_by_poses(track, &rows, &fk) };
             if let Some(metres) = by_size.or(by_poses.filter(|metres| *metres != 1.0)) {
                 let (metres, candidates, constant) = (Ok(metres), Vec::new(), [false; 3]);
                 return Self { metres, candidates, constant, ..placement };

@@ -121,10 +121,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
         beside.iter().map(values).sum::<f64>() / beside.len().max(1) as f64
     };
     // Relays repeat values, even with other stamps.
-    let copied = match beside.is_empty() {
-        true => 1.0,
-        false => mean(&|joint| joint.copied),
-    };
+    let copied = if beside.is_empty() { 1.0 } else { mean(&|joint| joint.copied) };
     let moved = mean(&|joint| spread(&joint.a).max(spread(&joint.b)));
     let apart = |joint: &JointComparison| -> Vec<f64> {
         joint.a.iter().zip(&joint.b).map(|(a, b)| a - b).collect()
