@@ -85,17 +85,7 @@ impl TfTree {
     }
 
     /// Adds samples; `stamps` must strictly increase.
-    pub fn insert_samples(
-        &mut self,
-        parent: &str,
-        child: &str,
-        stamps: Vec<Stamp>,
-        parent_from_child: Vec<Pose>,
-    ) {
-        self.insert(parent, child, EdgeKind::Dynamic, stamps, parent_from_child);
-    }
-
-    fn insert(
+    pub fn insert(
         &mut self,
         parent: &str,
         child: &str,
@@ -424,12 +414,8 @@ mod tests {
     fn tree() -> TfTree {
         let mut tree = TfTree::default();
         tree.insert_fixed("world", "base", EdgeKind::Static, some_pose(0.1));
-        tree.insert_samples(
-            "/base",
-            "arm",
-            vec![stamp(1.0), stamp(2.0)],
-            vec![some_pose(0.2), some_pose(0.9)],
-        );
+        let (stamps, poses) = (vec![stamp(1.0), stamp(2.0)], vec![some_pose(0.2), some_pose(0.9)]);
+        tree.insert("/base", "arm", EdgeKind::Dynamic, stamps, poses);
         tree.insert_fixed("arm", "tool", EdgeKind::Model, some_pose(0.3));
         tree.insert_fixed("world", "camera", EdgeKind::Static, some_pose(0.4));
         tree

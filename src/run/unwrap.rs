@@ -27,18 +27,14 @@ pub struct WrappedJoint {
     pub stream: usize,
     /// Joint name in the log.
     pub joint: String,
-    /// One turn in its unit.
-    pub turn: f64,
-    /// Number of wraps.
-    pub wraps: usize,
 }
 
 pub(super) fn unwrap_joints(streams: &mut [Stream]) -> Vec<WrappedJoint> {
     let of = |(index, stream): (usize, &mut Stream)| {
         let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
         let unfolded = |joint: &mut JointColumn| {
-            let (turn, times) = unwrap_column(&mut joint.position)?;
-            Some(WrappedJoint { stream: index, joint: joint.name.clone(), turn, wraps: times })
+            unwrap_column(&mut joint.position)?;
+            Some(WrappedJoint { stream: index, joint: joint.name.clone() })
         };
         joints.joints.iter_mut().filter_map(unfolded).collect()
     };

@@ -37,7 +37,7 @@ pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, namespace: &Namespace
                 continue;
             }
             let (stamps, poses) = samples_of(streams, timing, (index, piece), transform);
-            tree.insert_samples(parent, child, stamps, poses);
+            tree.insert(parent, child, EdgeKind::Dynamic, stamps, poses);
         }
     }
     tree
@@ -73,7 +73,7 @@ pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timin
         if arms.iter().any(is_base) && tree.find_path(frame, child, |_| true).is_none() {
             let (stamps, poses) = samples_of(streams, timing, (index, 0), poses);
             if stamps.len() > 1 {
-                tree.insert_samples(frame, child, stamps, poses);
+                tree.insert(frame, child, EdgeKind::Dynamic, stamps, poses);
             }
         }
     }
