@@ -10,7 +10,7 @@ use crate::diagnosis::{
     encoder_step, peak_acceleration,
 };
 use crate::run::{JointSamples, JointSource, Role, Run, RunError, VelocitySource};
-use crate::stream::{Columns, JointColumns};
+use crate::stream::{Columns, JointColumn, JointColumns};
 
 /// Velocities with a larger relative error do not show accelerations.
 const MAX_VELOCITY_ERROR: f64 = 0.2;
@@ -46,14 +46,13 @@ pub(super) fn unmodelled_arms(
 }
 
 fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEvidence {
-    let source = |name: &String| JointSource {
-        name: name.clone(),
+    let source = |joint: &JointColumn| JointSource {
+        name: joint.name.clone(),
         stream,
         samples: columns.times.len(),
         velocities: VelocitySource::Derived,
     };
-    let sources: Vec<JointSource> =
-        columns.joints.iter().map(|joint| source(&joint.name)).collect();
+    let sources: Vec<JointSource> = columns.joints.iter().map(source).collect();
     let samples = run.joint_samples(&sources);
     let (stamps, at_true_times) = joint_stamps(&samples);
     let at_true_times = at_true_times.as_deref().unwrap_or(&samples);

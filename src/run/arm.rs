@@ -299,6 +299,14 @@ impl Arm {
         self.chain.joint_names().iter().any(|joint| path.joints.contains(joint))
     }
 
+    /// The robot's root if logged joints move the arm's base, such as a rail's, otherwise that base. `tip` is the end of
+    /// the chain.
+    pub(super) fn outermost_base(&self, tip: LinkId) -> LinkId {
+        let root = self.robot.root();
+        let rides = self.robot.fixed_transform(root, self.base).is_none();
+        if rides && self.chain_between(root, tip).is_some() { root } else { self.base }
+    }
+
     /// The chain between two links with its columns, if all its joints are logged.
     pub(super) fn chain_between(&self, base: LinkId, tip: LinkId) -> Option<(Chain, Vec<usize>)> {
         let chain = self.robot.chain(base, tip).ok()?;

@@ -82,12 +82,7 @@ impl HandKind {
     ) -> Option<(Self, [Option<Pose>; 2])> {
         let (place, anchor) = arm.classify_frame(camera);
         // A camera next to a rail does not move with it.
-        let root = arm.robot.root();
-        let rides = arm.robot.fixed_transform(root, arm.base).is_none();
-        let base = match rides && arm.chain_between(root, arm.tip).is_some() {
-            true => root,
-            false => arm.base,
-        };
+        let base = arm.outermost_base(arm.tip);
         let fixed = |link: LinkId| arm.robot.fixed_transform(base, link);
         let (hand, hand_from_camera, base_from_camera) = match (place, anchor) {
             (FrameKind::MovingLink, Some(anchor)) => {

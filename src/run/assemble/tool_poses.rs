@@ -551,34 +551,29 @@ impl Assembly<'_> {
         let (place, anchor) = arm.classify_frame(&stream.frame_id);
         let (moving_base, link_from_imu, why) = match (place, anchor) {
             (FrameKind::MovingLink, Some(anchor)) => {
-                (anchor.link, Some(anchor.link_from_frame), "the arm moves its frame".to_owned())
+                (anchor.link, Some(anchor.link_from_frame), "the arm moves its frame")
             }
-            (FrameKind::StillLink | FrameKind::StaticallyTied, _) => {
-                let reason = format!("the arm does not move its frame '{}'", stream.frame_id);
-                self.streams[index].reason = format!("inertial measurements; {reason}");
-                return;
-            }
-            _ => (
-                arm.tip,
-                None,
-                "its frame does not show where it is mounted; assumed at the tip".to_owned(),
-            ),
+            _ => (arm.tip, None, "its frame does not show where it is mounted; assumed at the tip"),
         };
-        if let Some(joint) = arm.unlogged_joint_above(moving_base) {
-            let reason = format!("'{joint}', which moves it, is not in the joint states");
-            self.streams[index].reason = format!("inertial measurements; {reason}");
-            return;
-        }
-        if let Some(root) = self.rotating_root(arm) {
-            let reason = format!("the arm's base rotates in '{root}' and carries it");
+        let carried = || {
+            let root = self.rotating_root(arm)?;
+            Some(format!("the arm's base rotates in '{root}' and carries it"))
+        };
+        let refusal = match (place, arm.unlogged_joint_above(moving_base)) {
+            (FrameKind::StillLink | FrameKind::StaticallyTied, _) => {
+                Some(format!("the arm does not move its frame '{}'", stream.frame_id))
+            }
+            (_, Some(joint)) => {
+                Some(format!("'{joint}', which moves it, is not in the joint states"))
+            }
+            (_, None) => carried(),
+        };
+        if let Some(reason) = refusal {
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
         }
         // A waist does not move gravity and the world frame.
-        let root = arm.robot.root();
-        let rides = arm.robot.fixed_transform(root, arm.base).is_none();
-        let base =
-            if rides && arm.chain_between(root, moving_base).is_some() { root } else { arm.base };
+        let base = arm.outermost_base(moving_base);
         let Some((chain, columns)) = arm.chain_between(base, moving_base) else { return };
         let rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
         let StampedTrack { track, stamps } = poses::from_imu(imu, &rows, self.origin);
