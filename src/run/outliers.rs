@@ -97,18 +97,14 @@ pub(super) fn detect_outliers(
         match &stream.columns {
             _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
             Some(Columns::Joints(joints)) => joint_outliers(index, joints, &|row| at(0, row)),
-            Some(Columns::Poses(poses)) => {
+            Some(columns @ (Columns::Poses(poses) | Columns::Transforms(poses))) => {
+                let is_tf = matches!(columns, Columns::Transforms(_));
                 let of = |(piece, poses)| {
-                    pose_outliers((index, piece), poses, false, &|row| at(piece, row))
-                };
-                poses.par_iter().enumerate().filter_map(of).collect()
-            }
-            Some(Columns::Transforms(poses)) => {
-                let of = |(piece, poses)| {
-                    pose_outliers((index, piece), poses, true, &|row| at(piece, row))
+                    pose_outliers((index, piece), poses, is_tf, &|row| at(piece, row))
                 };
                 let pieces = poses.par_iter().enumerate();
-                pieces.filter(|(piece, _)| !is_of_two(index, *piece)).filter_map(of).collect()
+                let pieces = pieces.filter(|(piece, _)| !(is_tf && is_of_two(index, *piece)));
+                pieces.filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {
                 array_outliers(index, array, &|row| at(0, row)).into_iter().collect()

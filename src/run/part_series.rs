@@ -117,15 +117,11 @@ pub(super) fn collect_parts(streams: &[Stream]) -> Vec<Part<'_>> {
                     add(0, None, &joints.times, PartValues::Joints(joints));
                 }
             }
-            Columns::Poses(poses) => {
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                let is_tf = matches!(columns, Columns::Transforms(_));
                 for (piece, poses) in poses.iter().enumerate() {
-                    add(piece, None, &poses.times, PartValues::Poses(poses));
-                }
-            }
-            Columns::Transforms(poses) => {
-                for (piece, poses) in poses.iter().enumerate() {
-                    let child = strip_slash(&poses.child_frame_id);
-                    add(piece, Some(child), &poses.times, PartValues::Poses(poses));
+                    let child = is_tf.then(|| strip_slash(&poses.child_frame_id));
+                    add(piece, child, &poses.times, PartValues::Poses(poses));
                 }
             }
             Columns::Imu(imu) => add(0, None, &imu.times, PartValues::Imu(imu)),

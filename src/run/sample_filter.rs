@@ -61,34 +61,16 @@ impl SampleFilter {
     }
 
     /// Copies one part's results to another stream.
-    pub(super) fn share(&mut self, (stream, piece): (usize, usize), to: usize) {
-        fn shared<T: Clone>(
-            all: &mut Vec<T>,
-            part: (usize, usize),
-            part_of: impl Fn(&T) -> (usize, usize),
-            moved: impl Fn(T) -> T,
-        ) {
-            let new: Vec<T> = with_key(all, part, part_of).iter().cloned().map(moved).collect();
-            all.extend(new);
-        }
-        let part = (stream, piece);
-        shared(
-            &mut self.outliers,
-            part,
-            |one| (one.stream, one.piece),
-            |one| Outliers { stream: to, piece: 0, ..one },
-        );
-        shared(
-            &mut self.publishers,
-            part,
-            |one| (one.stream, one.piece),
-            |one| TwoPublishers { stream: to, piece: 0, ..one },
-        );
-        shared(
-            &mut self.repeated,
-            part,
-            |one| (one.stream, one.piece),
-            |one| RepeatedValues { stream: to, piece: 0, ..one },
-        );
+    pub(super) fn share(&mut self, part: (usize, usize), to: usize) {
+        let outliers = with_key(&self.outliers, part, |one| (one.stream, one.piece)).to_vec();
+        let outliers = outliers.into_iter().map(|one| Outliers { stream: to, piece: 0, ..one });
+        self.outliers.extend(outliers);
+        let two = with_key(&self.publishers, part, |one| (one.stream, one.piece)).to_vec();
+        let two = two.into_iter().map(|one| TwoPublishers { stream: to, piece: 0, ..one });
+        self.publishers.extend(two);
+        let repeated = with_key(&self.repeated, part, |one| (one.stream, one.piece)).to_vec();
+        let repeated =
+            repeated.into_iter().map(|one| RepeatedValues { stream: to, piece: 0, ..one });
+        self.repeated.extend(repeated);
     }
 }
