@@ -32,11 +32,11 @@ pub fn calibrate_arm(
     let paths: Option<Vec<LinkPath>> =
         streams.iter().map(|stream| robot.link_path(stream.base, stream.tip)).collect();
     let paths = paths.ok_or(CalibrationFailure::Chain)?;
-    let path = paths.first().ok_or(CalibrationFailure::TooFewSamples)?;
+    let ends = paths.first().zip(streams.first());
+    let (path, first) = ends.ok_or(CalibrationFailure::TooFewSamples)?;
     if paths.iter().any(|other| other.links != path.links) {
         return Err(CalibrationFailure::OtherJoints);
     }
-    let first = streams.first().ok_or(CalibrationFailure::TooFewSamples)?;
     let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let parameters = CalibrationParameters::new(path, &chain, streams, &paths, zeros.to_vec());
     let sources: Vec<StreamSource> = streams
@@ -50,10 +50,9 @@ pub fn calibrate_arm(
         values: DVector::zeros(parameters.width),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
-    let nominal = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
-    let before = system.nominal_residuals(&nominal, &state);
+    let mut linearized = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
+    let before = system.nominal_residuals(&linearized, &state);
     let distances_before = system.distances_m(&state);
-    let mut linearized = nominal;
     let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
     for round in 0..MAX_ITERATIONS {
         let normal = system.normal(&linearized, &state);

@@ -101,6 +101,7 @@ fn span_s(t_s: &[f64]) -> f64 {
 }
 
 /// Constraints of the search.
+#[derive(Default)]
 pub struct MappingConstraints<'a> {
     /// Candidate arms.
     pub chains: &'a [&'a Chain],
@@ -343,13 +344,8 @@ impl NumericTable {
         chain: &Chain,
         max_lag_s: f64,
     ) -> Option<ColumnMapping> {
-        let constraints = MappingConstraints {
-            chains: &[chain],
-            joints: None,
-            position: None,
-            taken: &[],
-            max_lag_s,
-        };
+        let constraints =
+            MappingConstraints { chains: &[chain], max_lag_s, ..MappingConstraints::default() };
         let block = JointColumns { arm: 0, ..mapping.block() };
         let fit = |with_zero| self.fit(&constraints, &block, mapping.position, with_zero);
         let found = fit(false)?;

@@ -453,13 +453,8 @@ impl<'a> ColumnSearch<'a> {
     fn question_by_width(&self, log: &Log) -> Option<ColumnQuestion> {
         let table = &self.cells.table;
         let chains = self.chains();
-        let wanted = MappingConstraints {
-            chains: &chains,
-            joints: None,
-            position: None,
-            taken: &[],
-            max_lag_s: self.max_lag_s,
-        };
+        let max_lag_s = self.max_lag_s;
+        let wanted = MappingConstraints { chains: &chains, max_lag_s, ..Default::default() };
         let mut suggestions: Vec<Answer> = Vec::new();
         let mut first = 0;
         while first < self.cells.numbers.len() && suggestions.is_empty() {
