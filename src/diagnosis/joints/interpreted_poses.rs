@@ -9,7 +9,7 @@ use std::ops::Range;
 
 /// For a thinned and for a full view.
 const THINNED_FRAME_ITERATIONS: usize = 5;
-pub(super) const FRAME_ITERATIONS: usize = 30;
+const FRAME_ITERATIONS: usize = 30;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FreeFrames {
@@ -63,7 +63,19 @@ pub(super) struct InterpretedPoses<'a> {
     pub turns: usize,
 }
 
-impl InterpretedPoses<'_> {
+impl<'a> InterpretedPoses<'a> {
+    /// All samples, with a lever by the arm's reach.
+    pub fn new(
+        chain: &'a Chain,
+        xyz: Vec<Vec3>,
+        rotation: Option<Vec<Rotation>>,
+        q: Vec<f64>,
+        spans: Vec<[f64; 2]>,
+    ) -> Self {
+        let lever_m = (0.25 * chain.max_reach_m()).max(0.05);
+        Self { chain, xyz, rotation, q, spans, lever_m, turns: FRAME_ITERATIONS }
+    }
+
     pub fn len(&self) -> usize {
         self.xyz.len()
     }

@@ -25,7 +25,7 @@ use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stats::Measured;
 use ground::stream::{JointTrack, sample_noise};
-use interpreted_poses::{ConstantFrames, FRAME_ITERATIONS, FreeFrames, InterpretedPoses};
+use interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses};
 use map::{Coupling, JointMap};
 use search::{InterpretationKind, JointInterpretation, SearchOutcome, search_kind};
 use single_joint::SingleJoint;
@@ -310,15 +310,8 @@ pub(super) fn single_zeros(
             rows.extend(columns.iter().map(|&column| q[column]));
         }
     }
-    let view = InterpretedPoses {
-        chain,
-        xyz,
-        rotation: Some(rotation),
-        q: rows,
-        spans: vec![[0.0; 2]; columns.len()],
-        lever_m: (0.25 * chain.max_reach_m()).max(0.05),
-        turns: FRAME_ITERATIONS,
-    };
+    let spans = vec![[0.0; 2]; columns.len()];
+    let view = InterpretedPoses::new(chain, xyz, Some(rotation), rows, spans);
     let mut nearest_zeros = JointMap::as_logged(columns.len());
     nearest_zeros.zero = columns.iter().map(|&column| offsets[column]).collect();
     let named = ConstantFrames::default();
@@ -344,18 +337,10 @@ fn views<'a>(
     stream: &PoseStream<'a>,
     samples: &SimultaneousSamples,
 ) -> Vec<InterpretedPoses<'a>> {
-    let chain = stream.chain;
     let span =
         |&column: &usize| range_of(joints.q.iter().skip(column).step_by(joints.dof).copied());
-    let positions = InterpretedPoses {
-        chain,
-        xyz: samples.xyz.clone(),
-        rotation: None,
-        q: samples.q.clone(),
-        spans: stream.columns.iter().map(span).collect(),
-        lever_m: (0.25 * chain.max_reach_m()).max(0.05),
-        turns: FRAME_ITERATIONS,
-    };
+    let (spans, xyz) = (stream.columns.iter().map(span).collect(), samples.xyz.clone());
+    let positions = InterpretedPoses::new(stream.chain, xyz, None, samples.q.clone(), spans);
     let mut views = Vec::new();
     if let (Some(rotation), Some(inverse)) = (&samples.rotation, &samples.inverse_xyz) {
         views.push(InterpretedPoses { rotation: Some(rotation.clone()), ..positions.clone() });

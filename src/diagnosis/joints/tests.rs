@@ -1,9 +1,10 @@
 use super::half_follows_as_logged;
-use super::interpreted_poses::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
+use super::interpreted_poses::{FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
 use super::slow_samples::{JOINT_ENCODING_SAMPLES, slow_simultaneous_samples};
 use crate::frames::position_fit::spread;
+use crate::samples::sampling::range_of;
 use crate::test_random::Lcg;
 use crate::{diagnose_arm, test_motion};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
@@ -33,19 +34,10 @@ fn view<'a>(
     let noise = |k: usize| 1e-4 * Vec3::new((k as f64).sin(), (3.0 * k as f64).cos(), 0.3);
     let xyz = poses.iter().enumerate().map(|(k, at)| at.translation.vector + noise(k)).collect();
     let q: Vec<f64> = rows.iter().flat_map(|row| logged(row)).collect();
-    let span = |joint: usize| {
-        let column = q.iter().skip(joint).step_by(chain.dof());
-        column.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &q| [a.min(q), b.max(q)])
-    };
-    InterpretedPoses {
-        chain,
-        xyz,
-        rotation: Some(poses.iter().map(|pose| pose.rotation).collect()),
-        spans: (0..chain.dof()).map(span).collect(),
-        q,
-        lever_m: 0.25,
-        turns: FRAME_ITERATIONS,
-    }
+    let span = |joint: usize| range_of(q.iter().skip(joint).step_by(chain.dof()).copied());
+    let spans = (0..chain.dof()).map(span).collect();
+    let rotation = Some(poses.iter().map(|pose| pose.rotation).collect());
+    InterpretedPoses { lever_m: 0.25, ..InterpretedPoses::new(chain, xyz, rotation, q, spans) }
 }
 
 fn find_map(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
