@@ -17,11 +17,12 @@ pub(super) struct RankingCriteria<'a> {
     pub by_poses: &'a dyn Fn(&[&LogModel]) -> Option<ModelRanking>,
 }
 
+/// Minimum score difference of distinguishable models: a likelihood ratio of e¹⁰.
+pub(super) const MIN_SCORE_DIFFERENCE: f64 = 20.0;
+
 pub(super) struct ModelRanking {
     /// Best first; the smallest assumption first among indistinguishable ones.
     pub models: Vec<RankedModel>,
-    /// Minimum score difference of distinguishable models.
-    pub min_score_difference: f64,
 }
 
 pub(super) struct RankedModel {
@@ -36,7 +37,7 @@ pub(super) struct RankedModel {
     /// Whether the residual is small enough.
     pub is_fit: bool,
     pub is_fit_without_fault: bool,
-    /// Whether no other model can score lower by [`ModelRanking::min_score_difference`].
+    /// Whether no other model can score lower by [`MIN_SCORE_DIFFERENCE`].
     pub is_unbeatable: bool,
     /// Topic with the smallest residual.
     pub topic: String,
@@ -99,10 +100,10 @@ impl ModelRanking {
     /// Adds a penalty per unused logged joint, such as a gripper.
     pub fn with_unused_joints(mut self, unused: impl Fn(usize) -> usize) -> Self {
         for standing in &mut self.models {
-            standing.score += self.min_score_difference * unused(standing.model) as f64;
+            standing.score += MIN_SCORE_DIFFERENCE * unused(standing.model) as f64;
         }
         let least = self.models.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
-        let is_near = |one: &RankedModel| one.score <= least + self.min_score_difference;
+        let is_near = |one: &RankedModel| one.score <= least + MIN_SCORE_DIFFERENCE;
         // Stable: the smallest assumption stays first.
         self.models.sort_by(|a, b| match (is_near(a), is_near(b)) {
             (true, true) => std::cmp::Ordering::Equal,
@@ -117,7 +118,7 @@ impl ModelRanking {
         let others = self.models.iter().skip(1);
         let is_same = |other: &&RankedModel| {
             other.is_fit
-                && other.score <= best.score + self.min_score_difference
+                && other.score <= best.score + MIN_SCORE_DIFFERENCE
                 && !other.is_dominated_by(best)
         };
         std::iter::once(best).chain(others.filter(is_same)).collect()
@@ -134,7 +135,7 @@ impl ModelRanking {
         let Some(best) = self.models.first() else { return Vec::new() };
         let least = self.models.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let others = self.models.iter().skip(1).filter(|other| !other.is_dominated_by(best));
-        others.filter(|other| other.score <= least + self.min_score_difference).collect()
+        others.filter(|other| other.score <= least + MIN_SCORE_DIFFERENCE).collect()
     }
 
     /// Compares the best model with the others, in words.
@@ -419,7 +420,7 @@ mod tests {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur3")?, FitAssumption::Nothing, 2e-5, -700.0);
             let next = standing(at("ur3e")?, FitAssumption::Tool, 0.0081, -300.0);
-            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
+            Some(ModelRanking { models: vec![best, next] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
         let found = select(&ur(), &criteria).unwrap();
@@ -435,7 +436,7 @@ mod tests {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur5e")?, FitAssumption::Tool, 1e-5, -700.0);
             let next = standing(at("ur16e")?, FitAssumption::Tool, 1e-5, -701.0);
-            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
+            Some(ModelRanking { models: vec![best, next] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
         let found = select(&ur(), &criteria).unwrap();
@@ -457,7 +458,7 @@ mod tests {
                 spread_m: 1e-7,
                 ..standing(at, FitAssumption::Nothing, 6e-8, -700.0)
             });
-            Some(ModelRanking { models: standings.collect(), min_score_difference: 20.0 })
+            Some(ModelRanking { models: standings.collect() })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &at_rest };
         let error = select(&plain_names(), &criteria).unwrap_err();
@@ -474,7 +475,7 @@ mod tests {
             let zero = FitAssumption::Zero { joint: 2, tool: true };
             let best = standing(at("ur3e")?, FitAssumption::Tool, 4.4e-4, -700.0);
             let next = standing(at("ur3")?, zero, 8.9e-4, -701.0);
-            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
+            Some(ModelRanking { models: vec![best, next] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
         let found = select(&ur(), &criteria).unwrap();
@@ -487,8 +488,7 @@ mod tests {
     fn an_arm_without_the_first_of_the_numbered_joints_is_another() {
         let fits = |models: &[&LogModel]| {
             let best = standing(0, FitAssumption::Nothing, 2e-5, -700.0);
-            (!models.is_empty())
-                .then(|| ModelRanking { models: vec![best], min_score_difference: 20.0 })
+            (!models.is_empty()).then(|| ModelRanking { models: vec![best] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &fits };
         let seven: Vec<String> = (0..7).map(|i| format!("lbr_joint_{i}")).collect();
@@ -508,7 +508,7 @@ mod tests {
         let off = |models: &[&LogModel]| {
             let standings = (0..models.len())
                 .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
-            Some(ModelRanking { models: standings.collect(), min_score_difference: 20.0 })
+            Some(ModelRanking { models: standings.collect() })
         };
         let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();

@@ -6,7 +6,9 @@
 
 use std::collections::BTreeMap;
 
-use super::catalogue_selection::{MAX_RESIDUAL_SHARE, RankedModel, RankingCriteria};
+use super::catalogue_selection::{
+    MAX_RESIDUAL_SHARE, MIN_SCORE_DIFFERENCE, RankedModel, RankingCriteria,
+};
 use super::error::RunError;
 use super::model::{LogModel, ModelClues};
 use super::role::{NON_ARM_JOINT_WORDS, find_word, split_words};
@@ -274,9 +276,8 @@ fn choose_by_poses(matches: Vec<JointMatch>, criteria: &RankingCriteria<'_>) -> 
         return MatchChoice::Undetermined { matches: Vec::new() };
     };
     // A match with a fault counts if it explains as much.
-    let is_as_good = |other: &&RankedModel| {
-        other.is_fit && other.score <= best.score + ranking.min_score_difference
-    };
+    let is_as_good =
+        |other: &&RankedModel| other.is_fit && other.score <= best.score + MIN_SCORE_DIFFERENCE;
     let same: Vec<&RankedModel> = ranking.models.iter().filter(is_as_good).collect();
     if same.len() > 1 {
         let label = |one: &&RankedModel| matches[one.model].model.robot.name.clone();

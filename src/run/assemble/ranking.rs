@@ -12,7 +12,7 @@ use super::groups::JointStateGroup;
 use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, fit_model};
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, ChainEnds};
-use crate::run::catalogue_selection::{ModelRanking, RankedModel};
+use crate::run::catalogue_selection::{MIN_SCORE_DIFFERENCE, ModelRanking, RankedModel};
 use crate::run::joint_order;
 use crate::run::model::{CompetingModel, LogModel, ModelClues};
 use crate::run::namespace::NamespaceMatch;
@@ -27,8 +27,6 @@ const MAX_RESIDUAL_M: f64 = 3e-3;
 /// The same as a share of the positions' extent, for noisy trackers.
 const MAX_RESIDUAL_SHARE: f64 = 0.01;
 const MAX_STREAMS: usize = 6;
-/// Minimum score difference of distinguishable arms: a likelihood ratio of e¹⁰.
-const MIN_SCORE_DIFFERENCE: f64 = 20.0;
 
 /// Minimum ratio of the named arm's residual to that of another arm.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;
@@ -132,9 +130,8 @@ impl PoseRanking<'_> {
                 topic: self.assembly.streams[stream].topic.clone(),
             }
         });
-        let ranked: Vec<RankedModel> = ranked.collect();
-        (!ranked.is_empty())
-            .then_some(ModelRanking { models: ranked, min_score_difference: MIN_SCORE_DIFFERENCE })
+        let models: Vec<RankedModel> = ranked.collect();
+        (!models.is_empty()).then_some(ModelRanking { models })
     }
 
     /// Catalogue arm that fits far better than the named `model`.
