@@ -5,7 +5,7 @@ use super::role::split_words;
 /// Words that identify one arm, and those of others.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Namespace {
-    own: Vec<String>,
+    pub own: Vec<String>,
     others: Vec<String>,
 }
 
@@ -55,10 +55,6 @@ impl Namespace {
 
     pub fn is_one_of_several(&self) -> bool {
         !self.own.is_empty() || !self.others.is_empty()
-    }
-
-    pub fn own_words(&self) -> &[String] {
-        &self.own
     }
 
     /// Its words as a label.

@@ -57,22 +57,14 @@ const HALF_WINDOW_S: f64 = 0.1;
 const MIN_MOTION: f64 = 5e-3;
 const MIN_ROWS: usize = 40;
 
-fn deduplicated_part(
-    repeats: &[RepeatedValues],
-    stream: usize,
-    piece: usize,
-) -> Option<&RepeatedValues> {
-    let of_part = with_key(repeats, (stream, piece), |repeats| (repeats.stream, repeats.piece));
-    of_part.iter().find(|repeats| repeats.is_deduplicated())
-}
-
 pub(super) fn deduplicate(
     repeats: &[RepeatedValues],
     stream: usize,
     piece: usize,
     rows: &mut Rows,
 ) {
-    let Some(repeats) = deduplicated_part(repeats, stream, piece) else { return };
+    let of_part = with_key(repeats, (stream, piece), |repeats| (repeats.stream, repeats.piece));
+    let Some(repeats) = of_part.iter().find(|repeats| repeats.is_deduplicated()) else { return };
     rows.retain_mut(|(stamp, row)| {
         match repeats.new_rows.binary_search_by_key(row, |(row, _)| *row) {
             Ok(at) => {

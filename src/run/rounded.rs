@@ -28,15 +28,8 @@ pub struct RoundedStamps {
     pub resolution_s: f64,
     /// Index of the stream's part.
     pub(super) piece: usize,
-    /// Group of parts with the same stamps.
+    /// Group of parts with the same stamps, as in one table.
     pub(super) group: usize,
-}
-
-impl RoundedStamps {
-    /// Whether both have the same stamps, as in one table.
-    pub(super) fn is_restored_as(&self, other: &Self) -> bool {
-        self.group == other.group
-    }
 }
 
 /// Minimum tick, s.

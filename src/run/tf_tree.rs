@@ -233,13 +233,8 @@ impl TfTree {
             fixed,
         );
         let name = &self.frames[found?];
-        let accepted_from_frame = self.lookup_fixed(name, frame)?;
-        Some((name, accepted_from_frame))
-    }
-
-    fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
-        let path = self.find_path(target, source, |edge| edge.kind != EdgeKind::Dynamic)?;
-        path.pose_at(Stamp::default()).ok()
+        let accepted_from_frame = self.find_path(name, frame, fixed)?;
+        Some((name, accepted_from_frame.pose_at(Stamp::default()).ok()?))
     }
 
     /// Breadth-first search until `stop`. Returns the edge to each reached frame.

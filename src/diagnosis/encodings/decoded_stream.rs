@@ -101,7 +101,7 @@ pub(crate) fn decode_stream<'a>(
         true => match turning.best_of(interpretations, unanchored) {
             Ok((interpretation, encoding, fit)) => (interpretation, Ok(encoding), Some(fit)),
             // Positions that match FK are used even without rotations.
-            Err(why) if first.axes == AxesError::NONE && placement.is_on_arm() => {
+            Err(why) if first.axes == AxesError::NONE && placement.most_likely().is_some() => {
                 (first, Err(why), None)
             }
             Err(why) => return Err(why),

@@ -113,7 +113,7 @@ impl PositionEncodingEstimate {
     }
 
     /// Most likely encoding, if it explains the positions.
-    fn most_likely(&self) -> Option<&PositionEncoding> {
+    pub fn most_likely(&self) -> Option<&PositionEncoding> {
         self.candidates.first().filter(|layout| layout.is_explained)
     }
 
@@ -122,11 +122,6 @@ impl PositionEncodingEstimate {
         let candidates =
             self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
         Self { metres: Ok(1.0), candidates, rotations_as_logged: true, ..self.clone() }
-    }
-
-    /// Whether a candidate explains the positions.
-    pub fn is_on_arm(&self) -> bool {
-        self.most_likely().is_some()
     }
 
     /// Whether positions match FK only when corrected.

@@ -315,7 +315,7 @@ fn make_names_unique(arms: &mut [Arm]) {
         }
     }
     let words: Vec<Vec<String>> =
-        arms.iter().map(|arm| [arm.namespace.own_words(), &arm.name_words()].concat()).collect();
+        arms.iter().map(|arm| [arm.namespace.own.as_slice(), &arm.name_words()].concat()).collect();
     for (arm, namespace) in arms.iter_mut().zip(Namespace::from_words(&words)) {
         arm.namespace = namespace;
     }

@@ -266,7 +266,9 @@ impl PoseRanking<'_> {
                 continue;
             }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            match self.fit_of(&arm, &source, knows_frame, tried) {
+            let seen = PoseStream { reference_known: knows_frame, ..source.as_stream() };
+            let max_latency_s = self.assembly.options.max_latency_s;
+            match fit_model(&arm.joints, &seen, max_latency_s, tried) {
                 Some(fit) => {
                     fits.push(StreamFit { stream, source, is_frame_known: knows_frame, fit })
                 }
@@ -296,17 +298,6 @@ impl PoseRanking<'_> {
             return None;
         }
         assembly.pose_source(index, arm, &site, declared, (false, &mut Vec::new())).ok()
-    }
-
-    fn fit_of(
-        &self,
-        arm: &Arm,
-        source: &PoseSource,
-        knows_frame: bool,
-        tried: FitHypotheses,
-    ) -> Option<ModelFit> {
-        let stream = PoseStream { reference_known: knows_frame, ..source.as_stream() };
-        fit_model(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }
 }
 
