@@ -5,7 +5,8 @@ use crate::geometry::{
     rotation_from_xyzw,
 };
 use crate::stream::{
-    ArrayColumns, DeclaredUnits, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack,
+    ArrayColumns, Columns, DeclaredUnits, ImuColumns, ImuTrack, Orientations, PoseColumns,
+    PoseTrack,
 };
 use crate::time::Stamp;
 
@@ -59,6 +60,31 @@ fn stamped<T>(
     StampedTrack { track: track(t_s), stamps }
 }
 
+/// Track of a stream of poses, with its declared units.
+///
+/// # Errors
+/// If the columns are not one pose per row, or the declaration does not fit.
+pub(super) fn from_columns(
+    columns: Option<&Columns>,
+    rows: &Rows,
+    declared: Option<&Declaration>,
+    origin: Stamp,
+) -> Result<StampedTrack<PoseTrack>, String> {
+    let mut stamped = match columns {
+        Some(Columns::Poses(poses)) => match poses.as_slice() {
+            [poses] => from_poses(poses, rows, declared, origin)?,
+            _ => return Err("each message contains several poses".to_owned()),
+        },
+        Some(Columns::Array(array)) => from_array(array, rows, declared, origin)?,
+        _ => return Err("it has no poses".to_owned()),
+    };
+    if let Some(&Declaration { length, angle, .. }) = declared {
+        let known = stamped.track.declared.take().unwrap_or_default();
+        stamped.track.declared = Some(DeclaredUnits { length, angle, ..known });
+    }
+    Ok(stamped)
+}
+
 /// Track without invalid quaternions.
 ///
 /// # Errors
@@ -80,13 +106,12 @@ pub(super) fn from_poses(
         let xyz = rows.iter().map(|(_, row)| Vec3::from(poses.xyz[*row]) * scale).collect();
         let orientation = Orientations::Unset(rows.len());
         let track = |t_s| PoseTrack { t_s, xyz, orientation, declared: None };
-        return Ok(with_units(stamped(&rows, origin, track), declared));
+        return Ok(stamped(&rows, origin, track));
     }
-    let track = track_of(rows, origin, |row| {
+    Ok(track_of(rows, origin, |row| {
         let rotation = rotation_from_xyzw(as_xyzw(poses.q_xyzw[row], declared))?;
         Some((Vec3::from(poses.xyz[row]) * scale, rotation))
-    });
-    Ok(with_units(track, declared))
+    }))
 }
 
 /// Track of an unnamed array: 6 numbers are position and three rotation numbers, 7 position and quaternion,
@@ -94,16 +119,7 @@ pub(super) fn from_poses(
 ///
 /// # Errors
 /// If the declaration does not fit, or a matrix is no pose.
-pub(super) fn from_array(
-    array: &ArrayColumns,
-    rows: &Rows,
-    declared: Option<&Declaration>,
-    origin: Stamp,
-) -> Result<StampedTrack<PoseTrack>, String> {
-    read_array(array, rows, declared, origin).map(|track| with_units(track, declared))
-}
-
-fn read_array(
+fn from_array(
     array: &ArrayColumns,
     rows: &Rows,
     declared: Option<&Declaration>,
@@ -168,17 +184,6 @@ pub(super) fn not_a_pose(width: usize) -> String {
 
 fn unit_m(declared: Option<&Declaration>) -> f64 {
     declared.map_or(1.0, |declared| declared.length.in_m())
-}
-
-fn with_units(
-    mut track: StampedTrack<PoseTrack>,
-    declared: Option<&Declaration>,
-) -> StampedTrack<PoseTrack> {
-    if let Some(&Declaration { length, angle, .. }) = declared {
-        let known = track.track.declared.take().unwrap_or_default();
-        track.track.declared = Some(DeclaredUnits { length, angle, ..known });
-    }
-    track
 }
 
 fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use crate::geometry::Pose;
 use crate::run::role::{Role, find_word, may_have_role, split_words};
-use crate::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, PoseTrack};
+use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
 
 use super::super::arm::{Arm, FrameAnchor};
 use super::super::poses;
@@ -87,9 +87,9 @@ impl Assembly<'_> {
                     let why = "each message contains several poses: a plan, not a goal".to_owned();
                     self.likeliest_arm(stream).map(|arm| (arm, Err(why)))
                 }
-                Some(Columns::Poses(poses)) => self
-                    .likeliest_arm(stream)
-                    .map(|arm| (arm, self.commanded_poses(index, arm, poses))),
+                Some(Columns::Poses(_)) => {
+                    self.likeliest_arm(stream).map(|arm| (arm, self.commanded_poses(index, arm)))
+                }
                 Some(Columns::Joints(joints)) => self.commanded_joints(index, joints),
                 Some(Columns::Array(array)) => self
                     .likeliest_arm(stream)
@@ -115,26 +115,10 @@ impl Assembly<'_> {
         rows
     }
 
-    fn commanded_poses(
-        &self,
-        index: usize,
-        owner: usize,
-        poses: &[PoseColumns],
-    ) -> Result<ReferenceContent, String> {
-        let [columns] = poses else {
-            return Err("each message contains several poses".to_owned());
-        };
+    fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
+        let (arm, stream) = (&self.arms[owner], &self.streams[index]);
         let rows = self.selected_rows(index);
-        let track = poses::from_poses(columns, &rows, None, self.origin)?.track;
-        self.transform_to_base(&self.arms[owner], &self.streams[index], track)
-    }
-
-    fn transform_to_base(
-        &self,
-        arm: &Arm,
-        stream: &Stream,
-        track: PoseTrack,
-    ) -> Result<ReferenceContent, String> {
+        let track = poses::from_columns(stream.columns.as_ref(), &rows, None, self.origin)?.track;
         if track.t_s.is_empty() {
             return Err("it has no usable sample".to_owned());
         }
@@ -227,9 +211,7 @@ impl Assembly<'_> {
                 Ok(ReferenceContent::Joints { t_s, columns: None, q })
             }
             7 | 12 | 16 if word.is_none_or(|word| matches!(word, "pose" | "tcp")) => {
-                let rows = self.selected_rows(index);
-                let track = poses::from_array(array, &rows, None, self.origin)?.track;
-                self.transform_to_base(arm, stream, track)
+                self.commanded_poses(index, owner)
             }
             width => Err(match word {
                 Some(word) => {

@@ -461,16 +461,8 @@ impl Assembly<'_> {
         })?;
         let mut rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
         poses::thin(&mut rows);
-        let mut logged = match &self.streams[index].columns {
-            Some(Columns::Poses(poses)) => {
-                let [poses] = poses.as_slice() else {
-                    return Err("each message contains several poses".to_owned().into());
-                };
-                poses::from_poses(poses, &rows, declared, self.origin)?
-            }
-            Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
-            _ => return Err("it has no poses".to_owned().into()),
-        };
+        let columns_of_stream = self.streams[index].columns.as_ref();
+        let mut logged = poses::from_columns(columns_of_stream, &rows, declared, self.origin)?;
         if stream_frames.frame == FrameKind::Tool && !logged.track.changes() {
             return Err("it never changes, like a tool offset in its own frame".to_owned().into());
         }

@@ -157,16 +157,7 @@ impl Assembly<'_> {
         let declared = declared
             .find(|declared| is_topic(stream, &declared.topic))
             .filter(|declared| declared.fits(stream.columns.as_ref()));
-        match &stream.columns {
-            Some(Columns::Poses(poses)) => {
-                let [poses] = poses.as_slice() else { return None };
-                poses::from_poses(poses, &rows, declared, self.origin).ok()
-            }
-            Some(Columns::Array(array)) => {
-                poses::from_array(array, &rows, declared, self.origin).ok()
-            }
-            _ => None,
-        }
+        poses::from_columns(stream.columns.as_ref(), &rows, declared, self.origin).ok()
     }
 
     fn unusable_reference(&self, topic: &str) -> RunError {
