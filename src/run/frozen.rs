@@ -227,18 +227,29 @@ pub(super) fn value_range(of: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 fn constant_spans(track: &PoseTrack) -> Vec<(usize, usize)> {
-    let (mut holds, mut first) = (Vec::new(), 0);
-    while first < track.t_s.len() {
-        let repeats = (first + 1..track.t_s.len()).take_while(|&row| {
-            track.t_s[row] - track.t_s[row - 1] < MAX_GAP_S && is_same(track, first, row)
-        });
-        let last = first + repeats.count();
-        if last - first >= MIN_PERIODS && track.t_s[last] - track.t_s[first] >= MIN_DURATION_S {
-            holds.push((first, last));
+    let mut holds =
+        spans_like_first(&track.t_s, MIN_DURATION_S, |first, row| is_same(track, first, row));
+    holds.retain(|(first, last)| last - first >= MIN_PERIODS);
+    holds
+}
+
+/// First and last sample of each span without gaps in which all samples are like its first one.
+pub(super) fn spans_like_first(
+    t_s: &[f64],
+    min_duration_s: f64,
+    is_like: impl Fn(usize, usize) -> bool,
+) -> Vec<(usize, usize)> {
+    let (mut spans, mut first) = (Vec::new(), 0);
+    while first < t_s.len() {
+        let like = (first + 1..t_s.len())
+            .take_while(|&row| t_s[row] - t_s[row - 1] < MAX_GAP_S && is_like(first, row));
+        let last = first + like.count();
+        if t_s[last] - t_s[first] >= min_duration_s {
+            spans.push((first, last));
         }
         first = last + 1;
     }
-    holds
+    spans
 }
 
 /// Motion of the fastest joint during `hold`, minimised over lags near `lags_s`; 0 at rest. `None` outside

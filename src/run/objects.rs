@@ -8,7 +8,7 @@ use crate::geometry::{Vec3, angle_between, rotation_from_rpy};
 use crate::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
 
 use super::arm::Arm;
-use super::frozen::{is_same, jumps_after, retain_samples, value_range};
+use super::frozen::{is_same, jumps_after, retain_samples, spans_like_first, value_range};
 use super::not_audited::{NotAudited, NotAuditedReason};
 use super::role::Role;
 use super::sources::PoseSource;
@@ -19,8 +19,6 @@ use super::{MIN_FOLLOWER_CORRELATION, Run};
 pub(super) const MIN_MOTION_M: f64 = 0.05;
 /// Minimum duration of a rest, s.
 const MIN_DURATION_S: f64 = 1.0;
-/// Longer gaps end a rest, s.
-const MAX_GAP_S: f64 = 1.0;
 
 impl Run {
     /// Largest motion of the tool by the joints while the pose of `source` rests, m. Applies the latencies at which the moving
@@ -115,20 +113,9 @@ fn rests(track: &PoseTrack, radius: f64) -> Vec<(usize, usize)> {
         Orientations::Unset(_) => 0.0,
     };
     let is_turned = |a: usize, b: usize| angle_rad(a, b) > MAX_TURN_RAD;
-    let (mut rests, mut first) = (Vec::new(), 0);
-    while first < track.t_s.len() {
-        let near = (first + 1..track.t_s.len()).take_while(|&row| {
-            track.t_s[row] - track.t_s[row - 1] < MAX_GAP_S
-                && (track.xyz[row] - track.xyz[first]).norm() <= radius
-                && !is_turned(first, row)
-        });
-        let last = first + near.count();
-        if track.t_s[last] - track.t_s[first] >= MIN_DURATION_S {
-            rests.push((first, last));
-        }
-        first = last + 1;
-    }
-    rests
+    spans_like_first(&track.t_s, MIN_DURATION_S, |first, row| {
+        (track.xyz[row] - track.xyz[first]).norm() <= radius && !is_turned(first, row)
+    })
 }
 
 /// Whether a publisher may have repeated its last value: afterwards it jumps, or the run ends.
