@@ -116,14 +116,18 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
     streams.map(unusable).collect()
 }
 
-pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
+/// Streams of joint states, transforms and poses, and those with the role `other`.
+fn measured_streams(run: &Run, other: Option<Role>) -> impl Iterator<Item = (usize, &Stream)> {
     let tf_topics = tf_topics(&run.streams);
-    let is_asked = |stream: &Stream| match stream.role {
+    run.streams.iter().enumerate().filter(move |(_, stream)| match stream.role {
         Role::Joints | Role::Tf => true,
         // Judged on their own topic.
         Role::Pose => !tf_topics.contains(&stream.topic),
-        _ => false,
-    };
+        role => Some(role) == other,
+    })
+}
+
+pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
     let sliding: Vec<String> = run
         .arms
         .iter()
@@ -131,7 +135,6 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
         .filter(|joint| joint.kind == JointKind::Prismatic)
         .map(|joint| joint.name.clone())
         .collect();
-    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let strays = |(index, stream): (usize, &Stream)| {
         let parts = with_key(&run.sample_filter.outliers, index, |strays| strays.stream);
         let found = OutlierEvidence {
@@ -141,7 +144,7 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
         };
         stream_evidence(run, index, found)
     };
-    streams.map(strays).collect()
+    measured_streams(run, None).map(strays).collect()
 }
 
 /// Frozen intervals of streams compared with an arm.
@@ -162,13 +165,6 @@ pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<FrozenSpan>>
 }
 
 pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvidence>> {
-    let tf_topics = tf_topics(&run.streams);
-    let is_asked = |stream: &Stream| match stream.role {
-        Role::Joints | Role::Tf | Role::Imu => true,
-        // Judged on their own topic.
-        Role::Pose => !tf_topics.contains(&stream.topic),
-        _ => false,
-    };
     let of_stream = |index: usize| with_key(&run.sample_filter.repeated, index, |held| held.stream);
     let repeats = |index: usize| of_stream(index).iter().any(|held| held.is_deduplicated());
     let is_of_joints = |index: usize| {
@@ -178,7 +174,6 @@ pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvid
                 && arm.joint_sources.iter().any(|joint| repeats(joint.stream))
         })
     };
-    let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let held = |(index, stream): (usize, &Stream)| {
         let found = RepeatedValueEvidence {
             parts: of_stream(index).to_vec(),
@@ -187,5 +182,5 @@ pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvid
         };
         stream_evidence(run, index, found)
     };
-    streams.map(held).collect()
+    measured_streams(run, Some(Role::Imu)).map(held).collect()
 }

@@ -574,20 +574,17 @@ impl<'a> ColumnSearch<'a> {
         widths.sort_unstable();
         widths.dedup();
         let first = |at: usize| (0..count).find(|&other| table.home(other) == table.home(at));
-        let (joints, rates) = widths.into_iter().find_map(|dof| {
+        let joints = widths.into_iter().find_map(|dof| {
             let starts =
                 (0..count).filter(|&at| first(at).is_some_and(|first| (at - first) % dof == 0));
             let blocks = starts.filter(|at| at + 2 * dof <= count);
-            let pairs = blocks.map(|at| -> [Vec<usize>; 2] {
-                [(at..at + dof).collect(), (at + dof..at + 2 * dof).collect()]
-            });
-            let [joints, rates] = pairs
-                .into_iter()
-                .find(|[own, rates]| table.rates_of(own).as_ref() == Some(rates))?;
-            Some((joints, rates))
+            let is_followed_by_rates = |own: &Vec<usize>| {
+                let rates = table.rates_of(own);
+                rates.is_some_and(|rates| rates.into_iter().eq(own.iter().map(|at| at + dof)))
+            };
+            blocks.map(|at| (at..at + dof).collect::<Vec<usize>>()).find(is_followed_by_rates)
         })?;
-        let (positions, velocities) = (Content::Joints(None), Content::Velocities);
-        let answer = self.answer(&[(None, positions, &joints), (None, velocities, &rates)]);
+        let answer = self.answer_with_joints(&joints);
         let moving: Vec<usize> = joints.iter().copied().filter(|&at| table.moves(at)).collect();
         let text = format!(
             "{} and {} are {} columns apart, but no pose that matches FK confirms the joints: if {} are the \
