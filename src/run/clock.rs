@@ -76,21 +76,20 @@ pub struct StreamClock {
 impl StreamClock {
     /// Rows with a valid stamp on the stream's clock.
     pub fn rows_of(&self, times: &Times) -> impl Iterator<Item = (Stamp, usize)> {
-        let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
-        let may_be_unset = self.clock == Clock::Header;
         let rows = times.nanos_on(self.clock).iter().zip(0..);
-        rows.filter(move |(nanos, _)| !may_be_unset || **nanos != 0)
-            .filter(|(nanos, _)| self.valid_range.contains(*nanos))
-            .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
+        rows.filter_map(move |(nanos, row)| Some((self.stamp(*nanos)?, row)))
     }
 
     /// Stamp of one row. `None` if it has none on the stream's clock, or does not exist.
     pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
+        self.stamp(*times.nanos_on(self.clock).get(row)?)
+    }
+
+    fn stamp(&self, nanos: i64) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
-        let nanos = *times.nanos_on(self.clock).get(row)?;
-        let set = self.clock != Clock::Header || nanos != 0;
-        let set = set && self.valid_range.contains(&nanos);
-        set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
+        let is_set = self.clock != Clock::Header || nanos != 0;
+        let is_valid = is_set && self.valid_range.contains(&nanos);
+        is_valid.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
     }
 }
 

@@ -210,17 +210,7 @@ pub(super) fn measure_rhythms(
 }
 
 fn has_rhythm(stream: &Stream) -> bool {
-    match stream.role {
-        Role::Joints
-        | Role::Pose
-        | Role::Candidate { .. }
-        | Role::Reference
-        | Role::Target
-        | Role::Tf
-        | Role::Imu
-        | Role::Unassigned => true,
-        Role::TfStatic | Role::Description | Role::Ignored => false,
-    }
+    !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored)
 }
 
 fn is_expected(stream: &Stream) -> bool {
