@@ -509,27 +509,18 @@ kinematics:
     }
 
     #[test]
-    fn a_calibration_in_the_log_is_applied_to_the_ur() {
+    fn a_calibration_in_the_log_is_applied_to_its_ur_and_reported_for_another() {
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
-        let mut models =
-            select_models(&read_given(&["ur5e".into()]).unwrap(), &clues, &NOBODY).unwrap();
-        overlay_all(&mut models, &[], &clues).unwrap();
-        assert_eq!(height_of_shoulder(&models[0], ""), 0.1627);
-        assert!(models[0].identified_by.ends_with("with the calibration arm.yaml (calib_1)"));
-    }
-
-    #[test]
-    fn a_calibration_of_another_arm_is_skipped_and_reported() {
-        let joints = prefixed("");
-        let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
-        let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
-        let mut models =
-            select_models(&read_given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
-        overlay_all(&mut models, &[], &clues).unwrap();
-        assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
-        assert!(models[0].identified_by.contains("was skipped"), "{}", models[0].identified_by);
+        let of_ur5e = ("ur5e", 0.1627, "with the calibration arm.yaml (calib_1)");
+        for (robot, shoulder_m, remark) in [of_ur5e, ("ur10e", 0.1807, "was skipped")] {
+            let given = read_given(&[robot.into()]).unwrap();
+            let mut models = select_models(&given, &clues, &NOBODY).unwrap();
+            overlay_all(&mut models, &[], &clues).unwrap();
+            assert_eq!(height_of_shoulder(&models[0], ""), shoulder_m);
+            assert!(models[0].identified_by.contains(remark), "{}", models[0].identified_by);
+        }
     }
 
     #[test]

@@ -159,13 +159,12 @@ impl Assembly<'_> {
             stream.reason += &format!("; source: {}, by {why}", source_kind.name());
             stream.source_kind = Some(source_kind);
             own.candidate.assign(stream);
-            let candidates =
-                std::iter::once(&own).chain(&other_sources).map(|own| own.candidate.clone());
-            if !other_sources.is_empty() {
-                let candidates = candidates.collect();
+            let sources: Vec<ArmPoseSource> = std::iter::once(own).chain(other_sources).collect();
+            if sources.len() > 1 {
+                let candidates = sources.iter().map(|own| own.candidate.clone()).collect();
                 self.shared_streams.push(SharedStream { stream: index, candidates, is_named });
             }
-            for ArmPoseSource { candidate, source } in std::iter::once(own).chain(other_sources) {
+            for ArmPoseSource { candidate, source } in sources {
                 self.arms[candidate.arm].poses.push(source);
             }
         }
