@@ -179,15 +179,22 @@ impl RestoredStamps {
         let period_s = t_s[t_s.len() - 1] / (t_s.len() - 1) as f64;
         let expected = 1.0 - period_s / grid.tick_s;
         let are_shared = share > MIN_SHARED_SHARE && share < 1.5 * expected && !are_sent_again;
-        // If the shortest interval is one tick, the tick may be the period, and longer intervals losses.
-        let is_coarser = grid.ticks.iter().all(|ticks| *ticks >= 2);
-        if !(are_shared || is_coarser && grid.is_of_one_even_sender()) {
+        if !(are_shared || grid.is_of_one_even_sender()) {
             return None;
         }
         let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);
-        let is_plausible = matches!(values, PartValues::Imu(_))
-            || interpolation_residual(&restored_s, values, &repeats)
-                .map_or(!are_shared, |residual| residual < MAX_RESIDUAL_RATIO);
+        let residual = |t_s: &[f64]| interpolation_residual(t_s, values, &repeats);
+        let restored = residual(&restored_s);
+        // If the shortest interval is one tick, the tick may be the period, and longer intervals losses.
+        let is_coarser = grid.ticks.iter().all(|ticks| *ticks >= 2);
+        let is_plausible = if are_shared || is_coarser {
+            matches!(values, PartValues::Imu(_))
+                || restored.map_or(!are_shared, |residual| residual < MAX_RESIDUAL_RATIO)
+        } else {
+            restored.zip(residual(&t_s)).is_some_and(|(restored, raw)| {
+                restored < MAX_RESIDUAL_RATIO.min(MAX_RESIDUAL_RATIO * raw)
+            })
+        };
         let mut last = i64::MIN;
         let nanos = restored_s.iter().map(|at_s| {
             last = (first + (at_s * NANOS_PER_SECOND as f64).round() as i64).max(last + 1);
@@ -410,6 +417,27 @@ mod tests {
             let values = PartValues::Array(&array);
             let restored = RestoredStamps::restore(&raw, &values).expect("rounded stamps");
             assert_eq!(restored.is_smoother_than(&raw, &values), is_rounded);
+        }
+    }
+
+    /// Stamps on a grid of 10 ms, at 90 Hz: rounded, or of a sender at 100 Hz of which every ninth row is lost.
+    #[test]
+    fn values_show_whether_stamps_are_rounded_or_rows_are_lost() {
+        let sent_s = sent(0.01, 0.0, 0..0);
+        let kept = sent_s.iter().enumerate().filter(|(row, _)| (row + 1) % 9 != 0);
+        let kept_s: Vec<f64> = kept.map(|(_, t_s)| *t_s).collect();
+        let true_s = sent(0.01 * 9.0 / 8.0, 0.0, 0..0);
+        for (sampled_s, is_rounded) in [(true_s, true), (kept_s, false)] {
+            let mut array = ArrayColumns { width: 1, ..Default::default() };
+            for t_s in &sampled_s {
+                array.values.push((2.0 * t_s).sin());
+            }
+            let raw: Vec<i64> = rounded(&sampled_s, 0.01)
+                .iter()
+                .map(|t_s| 1_000_000_000 + (t_s * 1e9).round() as i64)
+                .collect();
+            let restored = RestoredStamps::restore(&raw, &PartValues::Array(&array));
+            assert_eq!(restored.is_some(), is_rounded);
         }
     }
 }
