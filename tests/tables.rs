@@ -145,6 +145,36 @@ pub(crate) fn fault_codes(report: &Report) -> Vec<&str> {
     above.map(|finding| finding.code).collect()
 }
 
+/// The joints follow their commands through first-order lags that differ, so no latency explains the poses.
+#[test]
+fn poses_of_the_commanded_joints_are_not_compared_with_the_measured_ones() {
+    let mut header = "time".to_owned();
+    for ending in ["", "_desired"] {
+        (1..=JOINTS).for_each(|joint| write!(header, ",q{joint}{ending}").expect("text"));
+    }
+    header += ",x,y,z,qx,qy,qz,qw";
+    let mut measured = joint_positions(0.0);
+    let rows = CLEAN.rows().into_iter().map(|row| {
+        for (joint, q) in measured.iter_mut().enumerate() {
+            *q += (row[1 + joint] - *q) * STEP_S / (0.02 + 0.012 * joint as f64);
+        }
+        [&row[..1], &measured, &row[1..]].concat()
+    });
+    let rows: Vec<Vec<f64>> = rows.collect();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    write_columns(&path, &header, &rows, 1..rows[0].len());
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let poses = ["LAT001", "FRM002", "FRM003", "ZER001", "MDL001"];
+    assert!(!fault_codes(&report).iter().any(|code| poses.contains(code)), "{report:?}");
+    assert_ne!(report.verdict, Verdict::Pass);
+    let stream = report
+        .streams
+        .iter()
+        .find(|stream| stream.role == "reference" && stream.reason.contains("FK of the commands"));
+    assert!(stream.is_some(), "{:?}", report.streams);
+}
+
 #[test]
 fn a_tracker_that_names_no_frame_measures_in_its_own_world() {
     let world = pose([1.2, -0.4, 0.8], rotation_from_rotvec(Vec3::new(0.4, -0.9, 1.3)));

@@ -1,5 +1,6 @@
 use rayon::prelude::*;
 
+use super::commanded_poses::commanded_poses;
 use super::joint_clock::{are_others_steady, with_corrected_joint_stamps};
 use super::joint_topics::{JointTopicLatency, with_corrected_topic};
 use crate::diagnosis::{
@@ -48,6 +49,11 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let mut found = diagnose_one(run, &run.arms[index], max_lag_s);
+        let commanded = commanded_poses(run, index, &found.arm, max_lag_s);
+        if !commanded.is_empty() {
+            run.resolve_commanded_poses(commanded);
+            found = diagnose_one(run, &run.arms[index], max_lag_s);
+        }
         if realign_moving_bases(run, index, &found.arm) {
             found = diagnose_one(run, &run.arms[index], max_lag_s);
         }

@@ -2,6 +2,7 @@
 //! streams has a file.
 
 mod arm;
+mod commanded_poses;
 mod commands;
 mod estimate;
 mod hand_eye;

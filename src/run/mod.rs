@@ -350,6 +350,19 @@ impl Run {
         }
     }
 
+    /// Makes poses commands: they are FK of the commands on these topics.
+    pub(crate) fn resolve_commanded_poses(&mut self, poses: Vec<(usize, String)>) {
+        self.remove_sources(&poses.iter().map(|(stream, _)| *stream).collect());
+        for (stream, commands) in poses {
+            let reason = format!(
+                "{}; it is FK of the commands on {commands}, not of the joint states",
+                self.streams[stream].reason
+            );
+            self.clear_role(stream, reason);
+            self.streams[stream].role = Role::Reference;
+        }
+    }
+
     /// Makes candidate `stream` a command: it leads the arm by `lead_s`. Its sources remain until
     /// [`Run::remove_rejected`].
     pub(crate) fn resolve_leader(&mut self, stream: usize, lead_s: f64) {
