@@ -205,7 +205,7 @@ fn an_unusable_file_is_refused_in_one_line() {
             "has no columns for the joints",
         ),
         ("scattered.csv", scattered.join("\n"), "mm rms from one point"),
-        ("bytes.csv", "\0\u{1}\u{2}".to_owned(), "only 0 rows"),
+        ("bytes.csv", "\0\u{1}\u{2}".to_owned(), "unknown binary data"),
     ];
     for (name, text, expected) in cases {
         let log = folder.path().join(name);

@@ -546,9 +546,7 @@ pub(super) fn rotations_show_zero(arm: &ArmEvidence, zero_rad: f64) -> bool {
         let is_small = |residual: &StreamResidual| {
             MIN_EFFECT_RATIO * residual.excess_rad.value < zero_rad.abs()
         };
-        !found.is_derived
-            && found.encoding.is_ok()
-            && found.residual.as_ref().is_ok_and(is_small)
+        !found.is_derived && found.encoding.is_ok() && found.residual.as_ref().is_ok_and(is_small)
     })
 }
 

@@ -403,7 +403,7 @@ mod tests {
 
     #[test]
     fn a_zero_that_an_unknown_tool_may_cause_is_inconclusive_next_to_a_residual() {
-        let status = |tool_error_m: f64, left_m: f64, effect_m: f64| {
+        let status = |tool_error_m: f64, left_m: f64, left_rad: f64, effect_m: f64| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
@@ -413,16 +413,20 @@ mod tests {
             let mut tool = frame(0.0);
             tool.translation_m.std_error = tool_error_m;
             stream.tool = Ok(tool);
-            stream.residual.as_mut().expect("a residual").excess_m = precise(left_m);
+            let residual = stream.residual.as_mut().expect("a residual");
+            (residual.excess_m, residual.excess_rad) = (precise(left_m), precise(left_rad));
             evaluate_rule(&ZER001, &run).0[0].status
         };
-        assert_eq!(status(1e-4, 0.0, 0.01), Status::Fail);
+        assert_eq!(status(1e-4, 0.0, 0.0, 0.01), Status::Fail);
         // Unknown tool.
-        assert_eq!(status(1.0, 0.0, 0.01), Status::Fail);
-        assert_eq!(status(1.0, 0.8e-3, 0.01), Status::Inconclusive);
+        assert_eq!(status(1.0, 0.0, 0.0, 0.01), Status::Fail);
+        assert_eq!(status(1.0, 0.8e-3, 2e-3, 0.01), Status::Inconclusive);
         // Residual above MDL001's threshold.
-        assert_eq!(status(1e-4, 2e-3, 0.01), Status::Inconclusive);
-        assert_eq!(status(1e-4, 2e-3, 0.2), Status::Fail);
+        assert_eq!(status(1e-4, 2e-3, 2e-3, 0.01), Status::Inconclusive);
+        assert_eq!(status(1e-4, 2e-3, 2e-3, 0.2), Status::Fail);
+        // Rotations show a zero beside wrong lengths, also from 5 mm on.
+        assert_eq!(status(1e-4, 8e-3, 2e-3, 0.01), Status::Inconclusive);
+        assert_eq!(status(1e-4, 8e-3, 1e-4, 0.01), Status::Fail);
     }
 
     #[test]

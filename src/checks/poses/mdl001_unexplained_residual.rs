@@ -536,8 +536,14 @@ fn unexplained(
     evidence.more.insert("shared_by".to_owned(), sharing.into());
     let said = format!("unexplained residual {} rms{shared}", sizes(&residual.error));
     let varying_angle = &attributed.varying_angle;
-    let message = format!("{said} after all other findings are corrected{varying_angle}");
+    let jitter = attributed.stream.diagnosis.delay_jitter.as_ref();
+    let scatter = jitter.map_or(String::new(), |jitter| {
+        let scatter = Unit::Second.show(jitter.scatter_s);
+        format!("; it is mostly along the motion, as delays that scatter by {scatter} produce it")
+    });
+    let message = format!("{said} after all other findings are corrected{varying_angle}{scatter}");
     let fix = match &attributed.subject.reference {
+        _ if jitter.is_some() => "stamp each sample at acquisition, not when it is received",
         None => {
             "use the arm's calibrated description, or check that it belongs to this arm; if the error \
              starts at some time, check what happened to the tool, the frames or the joints then"

@@ -13,6 +13,8 @@ pub struct DelayJitter {
     pub median_s: Measured,
     /// Mean, s.
     pub mean_s: Measured,
+    /// Rms deviation from the median, s.
+    pub scatter_s: f64,
 }
 
 /// Converts angles to lengths, m.
@@ -69,6 +71,7 @@ pub(crate) fn estimate_delay_jitter(
     is_skewed.then(|| DelayJitter {
         median_s: measured(middle_s, of_blocks(&middle)),
         mean_s: measured(mean(&all), of_blocks(&mean)),
+        scatter_s: (spread / all.len() as f64).sqrt(),
     })
 }
 
