@@ -81,7 +81,7 @@ pub use model::CompetingModel;
 pub use models::load_robot;
 pub use norm_defects::{NormDefects, RotationStorage};
 pub use not_audited::{NotAudited, NotAuditedReason};
-pub use outliers::{MIN_OUTLIER_SAMPLES, Outliers};
+pub use outliers::{MIN_OUTLIER_SAMPLES, Outliers, outlier_count};
 pub use pose_distance::PoseDistance;
 pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;

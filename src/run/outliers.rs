@@ -65,6 +65,12 @@ impl Outliers {
     }
 }
 
+/// Number of samples of a stream that are outliers in some part: joints jump together in one sample.
+pub fn outlier_count(parts: &[Outliers]) -> usize {
+    let samples = parts.iter().flat_map(|part| part.rows.iter().map(|row| (part.piece, *row)));
+    samples.collect::<HashSet<_>>().len()
+}
+
 pub(super) fn remove_outliers(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = with_key(outliers, (stream, piece), |found| (found.stream, found.piece));
     let outlier: HashSet<usize> = of_it.iter().flat_map(|found| &found.rows).copied().collect();

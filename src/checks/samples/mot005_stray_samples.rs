@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{OutlierEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
-use crate::run::{MIN_OUTLIER_SAMPLES, Outliers};
+use crate::run::{MIN_OUTLIER_SAMPLES, Outliers, outlier_count};
 
 rule! {
     /// Samples jump away and back (outliers).
@@ -83,7 +83,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
         },
         _ => stream.subject.clone(),
     };
-    let count: usize = stream.parts.iter().map(Outliers::count).sum();
+    let count = outlier_count(&stream.parts);
     let parts = reported().take(MAX_LISTED).map(|part| {
         json!({
             "joint": part.joint,

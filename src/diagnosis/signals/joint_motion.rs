@@ -5,6 +5,7 @@ mod tests;
 
 use ground::stats::quantile;
 use std::borrow::Cow;
+use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
@@ -281,7 +282,8 @@ pub fn peak_acceleration(
     surest.map(|surest| PeakAcceleration { resolved, ..surest })
 }
 
-/// Mean speed after `to` minus that before `from`. 0 with too few samples.
+/// Speed at `to` by the samples after it, minus that at `from` by those before. Both are extrapolated, so a smooth
+/// acceleration counts only between the two. 0 with too few samples, and for a ripple of the speed.
 fn speed_change(
     t_s: &[f64],
     values: &[f64],
@@ -289,29 +291,47 @@ fn speed_change(
     (from, to): (usize, usize),
 ) -> f64 {
     const MIN_ROWS: usize = 4;
-    const MAX_ROWS: usize = 16;
+    /// Of the larger speed. A Kinova Gen3 at 1 kHz ripples by 15 % within 10 ms in a public log; not calibrated further.
+    const MIN_CHANGED_SHARE: f64 = 0.2;
     let is_within_stop = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= MAX_STOP_S;
-    let first = (from.saturating_sub(MAX_ROWS - 1)..=from).find(|row| is_within_stop(from, *row));
-    let last = (to..values.len().min(to + MAX_ROWS)).rev().find(|row| is_within_stop(to, *row));
-    let speed = |rows: std::ops::RangeInclusive<usize>| {
+    let first = (0..=from).rev().take_while(|row| is_within_stop(from, *row)).last();
+    let last = (to..values.len()).take_while(|row| is_within_stop(to, *row)).last();
+    // Mean time and speed.
+    let mean_speed = |rows: Range<usize>| {
         let (t_s, values) = (&t_s[rows.clone()], &values[rows]);
-        if values.len() < MIN_ROWS {
-            return None;
-        }
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
         let (mean_s, mean_value) = (mean(t_s), mean(values));
-        match series {
-            JointSampleKind::Velocities => Some(mean_value),
+        let speed = match series {
+            JointSampleKind::Velocities => mean_value,
             JointSampleKind::Positions => {
                 let along = t_s.iter().zip(values);
                 let along: f64 = along.map(|(t, q)| (t - mean_s) * (q - mean_value)).sum();
-                Some(along / t_s.iter().map(|t| (t - mean_s).powi(2)).sum::<f64>())
+                along / t_s.iter().map(|t| (t - mean_s).powi(2)).sum::<f64>()
             }
+        };
+        (mean_s, speed)
+    };
+    let speed_at = |edge: usize, rows: Range<usize>| match rows.len() {
+        ..MIN_ROWS => None,
+        count if count < 2 * MIN_ROWS => Some(mean_speed(rows).1),
+        count => {
+            let middle = rows.start + count / 2;
+            let (first_s, first) = mean_speed(rows.start..middle);
+            let (second_s, second) = mean_speed(middle..rows.end);
+            let acceleration = (second - first) / (second_s - first_s);
+            let change = acceleration * (t_s[edge] - second_s);
+            Some(if change.is_finite() { second + change } else { second })
         }
     };
-    let before = first.and_then(|first| speed(first..=from));
-    let after = last.and_then(|last| speed(to..=last));
-    before.zip(after).map_or(0.0, |(before, after)| (after - before).abs())
+    let before = first.and_then(|first| speed_at(from, first..from + 1));
+    let after = last.and_then(|last| speed_at(to, to..last + 1));
+    before.zip(after).map_or(0.0, |(before, after)| {
+        let change = (after - before).abs();
+        match change < MIN_CHANGED_SHARE * before.abs().max(after.abs()) {
+            true => 0.0,
+            false => change,
+        }
+    })
 }
 
 /// Thinned to about `MAX_WINDOWS`.

@@ -57,6 +57,8 @@ impl MatchingColumns {
     }
 }
 
+/// Between two positions of the tool, of which one is not measured; as between two encodings of the joint states.
+const MIN_RESIDUAL_RATIO: f64 = 5.0;
 /// Minimum lead of commands, s, if poses distinguish them.
 const MIN_LEAD_S: f64 = 0.02;
 
@@ -126,7 +128,7 @@ impl ColumnSearch<'_> {
             (columns, why)
         });
         if joints != mapping.joints {
-            mapping = self.refit(&joints, best, wanted).unwrap_or(mapping);
+            mapping = self.refit(&joints, best.position, best, wanted).unwrap_or(mapping);
             mapping.joints = joints;
             mapping.lag_s = best.lag_s - last_s;
         }
@@ -153,6 +155,21 @@ impl ColumnSearch<'_> {
                     pose_commands = Some((other, -shift.delay_s));
                 }
                 _ => {
+                    let residual_m = |position: [usize; 3]| {
+                        let found = self.refit(&mapping.joints, position, best, wanted)?;
+                        Some(found.residual_m)
+                    };
+                    let both = residual_m(position).zip(residual_m(other));
+                    let why = || "the same position, further from FK".to_owned();
+                    if both.is_some_and(|(own_m, other_m)| MIN_RESIDUAL_RATIO * own_m < other_m) {
+                        others.push((other.to_vec(), why()));
+                        continue;
+                    }
+                    if both.is_some_and(|(own_m, other_m)| MIN_RESIDUAL_RATIO * other_m < own_m) {
+                        others.push((position.to_vec(), why()));
+                        position = other;
+                        continue;
+                    }
                     let with = |position: [usize; 3]| {
                         self.answer_with(&ColumnMapping { position, ..mapping.clone() }, wanted)
                     };
@@ -256,6 +273,7 @@ impl ColumnSearch<'_> {
     fn refit(
         &self,
         joints: &[usize],
+        position: [usize; 3],
         best: &ColumnMapping,
         wanted: &MappingConstraints,
     ) -> Option<ColumnMapping> {
@@ -266,7 +284,7 @@ impl ColumnSearch<'_> {
         let wanted = MappingConstraints {
             chains: &wanted.chains[best.arm..=best.arm],
             joints: Some(&joints),
-            position: Some(best.position),
+            position: Some(position),
             taken: &[],
             max_lag_s: wanted.max_lag_s,
         };

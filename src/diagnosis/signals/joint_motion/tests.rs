@@ -73,6 +73,22 @@ fn speed_dependent_noise_is_no_stop() {
     assert!(found.acceleration - found.noise < 20.0, "{found:?}");
 }
 
+/// A missed cycle at 1 kHz, amid a smooth acceleration of 9 rad/s².
+#[test]
+fn a_velocity_that_dips_and_returns_is_no_stop() {
+    let t_s: Vec<f64> = (0..3000).map(|row| row as f64 / 1000.0).collect();
+    let ripple = |row: usize| match row {
+        1500 => -0.08,
+        1501 => 0.1,
+        _ => 1e-3 * noise(row),
+    };
+    let qd: Vec<f64> =
+        t_s.iter().enumerate().map(|(row, t)| 3.0 * (3.0 * t).sin() + ripple(row)).collect();
+    let found =
+        peak_acceleration(&t_s, &qd, JointSampleKind::Velocities, 0.0).expect("even samples");
+    assert!(found.acceleration < 20.0, "{found:?}");
+}
+
 #[test]
 fn repeated_values_are_no_stops() {
     let t_s: Vec<f64> = (0..4000).map(|row| row as f64 / 500.0).collect();
