@@ -125,12 +125,12 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
     if let [one, other] = options.logs.as_slice()
-        && let Some(table) = read_tables([one, other], &options.read.columns)?
+        && let Some(table) = read_tables([one, other], options)?
     {
         let one_run = Options { logs: vec![one.clone()], ..options.clone() };
         return calibrate_inputs(&one_run, |path| table.input(path, &options.run), None);
     }
-    let read = |path: &Path| match read_table(path, &options.read.columns)? {
+    let read = |path: &Path| match read_table(path, options)? {
         Some(table) => table.input(path, &options.run),
         None => inputs_from_log(path, options, topic),
     };

@@ -36,8 +36,23 @@ struct RateQuestion {
     remedy: String,
 }
 
-/// `None` if the columns are unknown as well.
-fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
+/// The columns of a table of configurations, as a remedy. `None` if joints and positions of the tool are not among them.
+pub(super) fn columns_of_configurations(options: &Options) -> Option<String> {
+    let (log, layouts, _) = propose_layouts(options)?;
+    may_be_configurations(&log, &layouts).then(|| {
+        let options: Vec<String> = layouts.iter().map(|layout| option(layout, "")).collect();
+        format!("if these are the columns, use {}", options.join(" "))
+    })
+}
+
+/// `--columns` with a layout and the rate of its rows.
+fn option(FileLayout { file, layout }: &FileLayout, rate: &str) -> String {
+    let file = file.as_ref().map(|file| format!("{file}=")).unwrap_or_default();
+    format!("--columns '{file}{layout}{rate}'")
+}
+
+/// Layouts of the tables without times, and whether their names state them. `None` if the columns are unknown as well.
+fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
     let mut log = open_at_assumed_rate(options, None)?;
     identify_columns(&mut log, &options.run);
     let mut tables = log.tables.iter().filter(|table| table.lacks_times);
@@ -60,13 +75,15 @@ fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
         layouts.truncate(1);
         layouts.iter_mut().for_each(|own| own.file = None);
     }
+    Some((log, layouts, is_certain))
+}
+
+/// `None` if the columns are unknown as well.
+fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
+    let (log, layouts, is_certain) = propose_layouts(options)?;
     let rate_hz = implied_rate_hz(&open_at_assumed_rate(options, Some(&layouts))?);
     let with = |rate: &str| -> String {
-        let option = |FileLayout { file, layout }: &FileLayout| {
-            let file = file.as_ref().map(|file| format!("{file}=")).unwrap_or_default();
-            format!("--columns '{file}{layout}{rate}'")
-        };
-        layouts.iter().map(option).collect::<Vec<_>>().join(" ")
+        layouts.iter().map(|layout| option(layout, rate)).collect::<Vec<_>>().join(" ")
     };
     let condition = if is_certain { "" } else { "if these are the columns, " };
     let or_times = format!("or pass a file with the times of the {rows} rows as well");
@@ -118,7 +135,12 @@ fn may_be_configurations(log: &Log, layouts: &[FileLayout]) -> bool {
     };
     layouts.iter().any(|own| has_joints(&own.layout))
         && layouts.iter().any(|own| has_position(&own.layout))
-        && log.files.iter().all(|file| file.container == Container::Csv)
+        && log.files.iter().all(|file| is_read_by_calibrate(file.container))
+}
+
+fn is_read_by_calibrate(container: Container) -> bool {
+    use Container::{Csv, Json, Matlab, Npy, Npz, Xlsx, Yaml};
+    matches!(container, Csv | Json | Matlab | Npy | Npz | Xlsx | Yaml)
 }
 
 fn open_at_assumed_rate(options: &Options, layouts: Option<&[FileLayout]>) -> Option<Log> {

@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use super::Options;
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
+use super::missing_rate::columns_of_configurations;
 use crate::diagnosis::{LastTurn, PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{
-    CalibrationTable, ColumnSettings, NumberTable, RotationColumns, read_calibration_table,
+    CalibrationTable, LogError, NumberTable, RotationColumns, read_calibration_table,
     read_calibration_tables,
 };
 use crate::report::{Trouble, TroubleKind};
@@ -22,17 +24,37 @@ pub(super) const MIN_ROWS: usize = 6;
 /// `None` if the file is not a table.
 pub(super) fn read_table(
     path: &Path,
-    columns: &ColumnSettings,
+    options: &Options,
 ) -> Result<Option<ConfigurationTable>, Trouble> {
-    Ok(read_calibration_table(path, columns)?.map(ConfigurationTable))
+    let table = read_calibration_table(path, &options.read.columns);
+    configuration_table(table, &[path], options)
 }
 
 /// Joints and poses of the same configurations in two tables. `None` if the files are something else.
 pub(super) fn read_tables(
     paths: [&Path; 2],
-    columns: &ColumnSettings,
+    options: &Options,
 ) -> Result<Option<ConfigurationTable>, Trouble> {
-    Ok(read_calibration_tables(paths, columns)?.map(ConfigurationTable))
+    let table = read_calibration_tables(paths, &options.read.columns);
+    configuration_table(table, &paths, options)
+}
+
+/// An error that asks for the columns proposes them.
+fn configuration_table(
+    table: Result<Option<CalibrationTable>, LogError>,
+    paths: &[&Path],
+    options: &Options,
+) -> Result<Option<ConfigurationTable>, Trouble> {
+    let propose = |error: LogError| {
+        let asks_for_columns = matches!(error, LogError::ConfigurationColumns { .. });
+        let logs = paths.iter().map(|path| path.to_path_buf()).collect();
+        let proposal = asks_for_columns
+            .then(|| columns_of_configurations(&Options { logs, ..options.clone() }))
+            .flatten();
+        let trouble = Trouble::from(error);
+        Trouble { remedy: proposal.unwrap_or_else(|| trouble.remedy.clone()), ..trouble }
+    };
+    Ok(table.map_err(propose)?.map(ConfigurationTable))
 }
 
 pub(super) struct ConfigurationTable(CalibrationTable);

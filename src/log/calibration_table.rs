@@ -95,15 +95,11 @@ pub fn read_calibration_table(
 }
 
 fn without_poses(path: &Path) -> LogError {
-    LogError::Configurations {
+    LogError::ConfigurationColumns {
         path: path.to_owned(),
         what: "its columns name no position of the tool".to_owned(),
-        remedy: STATE_COLUMNS,
     }
 }
-
-const STATE_COLUMNS: &str = "state the columns, as --columns 'q[6]:deg,xyz:mm' for one table, or as --columns 'JOINTS.csv=q[6]:deg' \
-     --columns 'POSES.csv=xyz:mm' for two; each row is one configuration";
 
 /// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else.
 ///
@@ -118,10 +114,9 @@ pub fn read_calibration_tables(
     let ((first, one), (second, other)) = match (one?, other?) {
         ((first, Some(one)), (second, Some(other))) => ((first, one), (second, other)),
         ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one))) if !has_poses(&one) => {
-            return Err(LogError::Configurations {
+            return Err(LogError::ConfigurationColumns {
                 path: path.to_owned(),
                 what: "it is not read as a table of configurations".to_owned(),
-                remedy: STATE_COLUMNS,
             });
         }
         _ => return Ok(None),

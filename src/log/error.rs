@@ -10,6 +10,10 @@ const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CS
 pub const POSE_TIMES_REMEDY: &str = "also pass the times file of the sequence (a time in s per pose), store \
      it as times.txt in the same folder, or set `rate_hz` in [columns] of the config";
 
+/// What to do about [`LogError::ConfigurationColumns`].
+pub const CONFIGURATION_COLUMNS_REMEDY: &str = "state the columns, as --columns 'q[6]:deg,xyz:mm' for one table, or as \
+     --columns 'JOINTS.csv=q[6]:deg' --columns 'POSES.csv=xyz:mm' for two; each row is one configuration";
+
 /// Reason why nothing could be read from the given files. Paths are as given.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -138,6 +142,14 @@ pub enum LogError {
         what: String,
         /// What to do.
         remedy: &'static str,
+    },
+    /// A table of configurations whose columns are unknown.
+    #[error("{}: {what}; {CONFIGURATION_COLUMNS_REMEDY}", path.display())]
+    ConfigurationColumns {
+        /// Path.
+        path: PathBuf,
+        /// The reason.
+        what: String,
     },
     /// KITTI poses without the times of their rows.
     #[error("{}: {what}; {POSE_TIMES_REMEDY}", path.display())]

@@ -52,7 +52,7 @@ pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
     TableCell, TableNumber, TableShape, Topic, Undecodable,
 };
-pub use self::error::{LogError, POSE_TIMES_REMEDY, rate_remedy};
+pub use self::error::{CONFIGURATION_COLUMNS_REMEDY, LogError, POSE_TIMES_REMEDY, rate_remedy};
 pub use self::follow::{Growth, LogFollower};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;

@@ -4,7 +4,9 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::log::{LogError, POSE_TIMES_REMEDY, SourceName, rate_remedy};
+use crate::log::{
+    CONFIGURATION_COLUMNS_REMEDY, LogError, POSE_TIMES_REMEDY, SourceName, rate_remedy,
+};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be processed, and what to do about it.
@@ -140,6 +142,9 @@ impl From<LogError> for Trouble {
                 (path, what, "correct --columns; `_` ignores a column (docs/datasets.md)")
             }
             LogError::Configurations { path, what, remedy } => (path, what, remedy),
+            LogError::ConfigurationColumns { path, what } => {
+                (path, what, CONFIGURATION_COLUMNS_REMEDY)
+            }
             LogError::PoseTimes { path, what } => (path, what, POSE_TIMES_REMEDY),
             LogError::Episodes { path, most } => (
                 path,
