@@ -45,7 +45,8 @@ rule! {
     /// A controller's poses are FK of the same encoders. If they agree with the joint states and an external
     /// stream shows a zero, that stream alone decides.
     ///
-    /// With an unexplained residual (MDL001), a zero must move the tip at least 30 times as far. If the
+    /// With an unexplained residual (MDL001), a zero must move the tip at least 30 times as far, or turn it at least ten times
+    /// as far as the angle that remains: wrong lengths of links do not turn the tool. If the
     /// motion cannot locate the tracker's marker, it is never reported.
     ///
     /// ## How to fix

@@ -56,6 +56,8 @@ rule! {
     /// - For a gyro: `scale` is the gain minus 1 along x, y, z with its interval, `axes` the saturated
     ///   axes, `share` the fraction of samples at the limit, `by_fk_rad_s` the arm's maximum rate.
     ///
+    /// If the residual is mostly along the motion and the delays are skewed, the message states how far delays scatter.
+    ///
     /// If the residual varies with one, two or three times a joint's angle (eccentric gear or encoder), the
     /// message names joint and amplitude.
     ///

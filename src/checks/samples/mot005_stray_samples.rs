@@ -18,7 +18,7 @@ rule! {
     /// it over a second, a map keeps it.
     ///
     /// ## Evidence
-    /// - `count`: number of outliers.
+    /// - `count`: number of samples that are outliers; joints that jump together are one sample.
     /// - `length_m` (in the joint's unit for a joint), `angle_rad`: distance of the farthest; `at_ns`: its
     ///   stamp.
     /// - `parts`: affected joints or transforms.

@@ -14,7 +14,8 @@ rule! {
     /// others. Their samples are excluded.
     ///
     /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so rows share one or
-    /// intervals alternate. The audit restores them from the row order (`info`).
+    /// intervals alternate. The audit restores them from the row order (`info`). Intervals of one and two ticks may also be
+    /// losses; they are restored if the motion is much smoother at the restored times.
     ///
     /// ## Why it matters
     /// Receive times, and a latency found from them, include the transport delay and its scatter.
