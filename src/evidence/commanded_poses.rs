@@ -16,6 +16,8 @@ pub(super) fn commanded_poses(
 ) -> Vec<(usize, String)> {
     /// Residual against the joint states over that against the commands, as between two encodings of the joint states.
     const MIN_RESIDUAL_RATIO: f64 = 5.0;
+    /// The measured motion may be the commanded one, later. Poses of the commands are computed in the same cycle.
+    const MAX_LATENCY_S: f64 = 0.01;
     if !found.is_unexplained() {
         return Vec::new();
     }
@@ -34,7 +36,9 @@ pub(super) fn commanded_poses(
             let commanded = diagnose_derived(track, None, &stream, max_lag_s);
             let commanded_m = commanded.residual.as_ref().map_or(f64::INFINITY, residual_m);
             let is_decoded = commanded.encoding.is_ok() || found.encoding.is_err();
-            is_decoded && MIN_RESIDUAL_RATIO * commanded_m < left_m
+            let is_simultaneous =
+                commanded.latency_s.as_ref().is_ok_and(|it| it.value.abs() < MAX_LATENCY_S);
+            is_decoded && is_simultaneous && MIN_RESIDUAL_RATIO * commanded_m < left_m
         };
         let (topic, _) = commands.iter().find(explains)?;
         Some((source.stream, (*topic).clone()))
