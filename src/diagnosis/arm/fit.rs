@@ -368,17 +368,23 @@ fn with_significant_causes(
     offsets: &[f64],
 ) -> StreamState {
     let mut plain = without_small_causes(model, s);
-    let mut causes = small_causes(model, s);
-    causes.retain(|cause| !matches!(cause, Cause::Zero(_)));
-    if causes.is_empty() || observations.chain.is_floating() {
+    let causes = small_causes(model, s);
+    let is_zero = |cause: &Cause| matches!(cause, Cause::Zero(_));
+    if causes.iter().all(is_zero) || observations.chain.is_floating() {
         return plain;
     }
-    for cause in causes_beyond_link_deviations((observations, s), &plain, offsets, &causes) {
+    // Without the zeros that were found, links would have to explain these, too.
+    let found = model.state.offsets.iter().zip(offsets);
+    let offsets: Vec<f64> = found
+        .map(|(found, large)| if found.abs() < ZERO_PRIOR { *large } else { *found })
+        .collect();
+    for cause in causes_beyond_link_deviations((observations, s), &plain, &offsets, &causes) {
         let state = &model.state.streams[s];
         match cause {
             Cause::Reference(_) => plain.reference = state.reference,
             Cause::RadialScale(_) => plain.radial_scale = state.radial_scale,
-            _ => plain.tool = state.tool,
+            Cause::Tool(_) => plain.tool = state.tool,
+            _ => {}
         }
     }
     plain
