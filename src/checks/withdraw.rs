@@ -55,15 +55,19 @@ impl UnexplainedResidual {
             Cause::JointZero { offset, is_prismatic: false } => offset.value.abs(),
             _ => f64::INFINITY,
         };
+        let poses = || arm.into_iter().flat_map(|arm| &arm.poses);
+        let has_rotations = poses().any(|stream| {
+            self.subject.topic.as_deref() == Some(stream.topic())
+                && stream.diagnosis.encoding.is_ok()
+        });
         let is_within = |length_m: f64, angle_rad: f64| {
             let is_shown_by_rotations =
-                turn_rad.is_finite() && angle_rad > 0.0 && turn_rad > times * angle_rad;
+                turn_rad.is_finite() && has_rotations && turn_rad > times * angle_rad;
             !is_shown_by_rotations
                 && (effect_m < times * length_m || turn_rad < MIN_ZERO_ANGLE_RATIO * angle_rad)
         };
         let is_shown_by_another = || {
-            let poses = arm.into_iter().flat_map(|arm| &arm.poses);
-            let mut others = poses.filter(|stream| {
+            let mut others = poses().filter(|stream| {
                 self.subject.topic.as_deref() != Some(stream.topic())
                     && !stream.diagnosis.is_derived
             });

@@ -3,7 +3,7 @@
 use crate::diagnosis::{
     ArmDiagnosis, PoseDiagnosis, StreamResidual, diagnose_derived, infer_joint_order,
 };
-use crate::run::{Arm, PoseSource, ReferenceContent, Run};
+use crate::run::{Arm, PoseSource, PoseSourceKind, ReferenceContent, Run};
 use crate::stream::JointTrack;
 
 /// Streams of poses of an arm that its joint states leave unexplained, and FK of joint commands explains, with the topic of
@@ -14,10 +14,12 @@ pub(super) fn commanded_poses(
     found: &ArmDiagnosis,
     max_lag_s: f64,
 ) -> Vec<(usize, String)> {
-    /// Residual against the joint states over that against the commands, as between two encodings of the joint states.
+    /// Residual against the joint states over that against the commands. The search for encodings of joints uses the same.
     const MIN_RESIDUAL_RATIO: f64 = 5.0;
     /// The measured motion may be the commanded one, later. Poses of the commands are computed in the same cycle.
     const MAX_LATENCY_S: f64 = 0.01;
+    /// Calibrations of arms differ by about as much from their models.
+    const MAX_RESIDUAL_M: f64 = 1e-3;
     if !found.is_unexplained() {
         return Vec::new();
     }
@@ -31,14 +33,20 @@ pub(super) fn commanded_poses(
     let residual_m = |residual: &StreamResidual| residual.combined_m();
     let is_commanded = |(source, found): (&PoseSource, &PoseDiagnosis)| {
         let stream = run.pose_stream(source);
-        let left_m = found.residual.as_ref().map_or(f64::INFINITY, residual_m);
+        let measured_m = found.residual.as_ref().ok().map(residual_m)?;
+        // A tracker measures the arm.
+        if run.streams[source.stream].source_kind == Some(PoseSourceKind::External) {
+            return None;
+        }
         let explains = |(_, track): &&(&String, JointTrack)| {
             let commanded = diagnose_derived(track, None, &stream, max_lag_s);
             let commanded_m = commanded.residual.as_ref().map_or(f64::INFINITY, residual_m);
             let is_decoded = commanded.encoding.is_ok() || found.encoding.is_err();
             let is_simultaneous =
                 commanded.latency_s.as_ref().is_ok_and(|it| it.value.abs() < MAX_LATENCY_S);
-            is_decoded && is_simultaneous && MIN_RESIDUAL_RATIO * commanded_m < left_m
+            is_decoded
+                && is_simultaneous
+                && commanded_m < MAX_RESIDUAL_M.min(measured_m / MIN_RESIDUAL_RATIO)
         };
         let (topic, _) = commands.iter().find(explains)?;
         Some((source.stream, (*topic).clone()))

@@ -111,9 +111,16 @@ pub fn read_calibration_tables(
 ) -> Result<Option<CalibrationTable>, LogError> {
     let [one, other] = paths.map(|path| Ok((path, read_named_numbers(path, settings)?)));
     let has_poses = |table: &NumberTable| columns(&table.names).is_some();
+    // A layout with times is that of a log.
+    let is_log = |path: &Path| {
+        settings.layout_of(path).is_some_and(|layout| layout.time() != LayoutTime::Open)
+    };
+    let is_any_log = paths.into_iter().any(is_log);
     let ((first, one), (second, other)) = match (one?, other?) {
         ((first, Some(one)), (second, Some(other))) => ((first, one), (second, other)),
-        ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one))) if !has_poses(&one) => {
+        ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one)))
+            if !has_poses(&one) && !is_any_log =>
+        {
             return Err(LogError::ConfigurationColumns {
                 path: path.to_owned(),
                 what: "it is not read as a table of configurations".to_owned(),

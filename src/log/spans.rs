@@ -41,7 +41,7 @@ pub(super) fn neighbours(
     })
 }
 
-/// A time of 0 is not set, if the other times are since 1970.
+/// A time of 0 is not set if the other times are those of a clock that counts from 1970.
 pub(super) fn join(a: Span, b: Span) -> Span {
     /// 2001. A clock that starts with the robot does not reach it.
     const EPOCH: Stamp = Stamp::from_nanos(1_000_000_000 * NANOS_PER_SECOND);

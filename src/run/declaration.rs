@@ -192,7 +192,7 @@ impl FromStr for Declaration {
 impl RunOptions {
     /// With the poses of table layouts declared, unless they are declared otherwise.
     pub(super) fn with_declared(mut self, poses: Vec<DeclaredPose>) -> Self {
-        let place = "--columns";
+        let place = "--columns or [columns]";
         for pose in poses {
             let settings = TopicSettings {
                 topic: pose.topic.clone(),

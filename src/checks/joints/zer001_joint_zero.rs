@@ -148,6 +148,7 @@ fn judge_constant(
             return SubjectResult::new(subject, outcome);
         }
     };
+    let turn_rad = if threshold.unit == Unit::Radian { measured.value } else { 0.0 };
     let outcome = match (
         decide(measured, threshold, case.evidence.subjects()),
         reported_confounder(arm, offset),
@@ -160,9 +161,9 @@ fn judge_constant(
             ))
         }
         (Decision::Fail(severity), _) if offset.is_chosen => {
-            match residual_attribution::zero_doubt(arm, measured.value)
+            match residual_attribution::zero_doubt(arm, turn_rad)
                 .or_else(|| unobservable_tool_reason(arm))
-                .or_else(|| wrong_model_reason(case, arm, offset, measured.value))
+                .or_else(|| wrong_model_reason(case, arm, offset, turn_rad))
             {
                 Some(why) => Outcome::Inconclusive(why),
                 None => Outcome::fail(fault(case, arm, joint, measured, severity)),

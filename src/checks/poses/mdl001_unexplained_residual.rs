@@ -538,7 +538,12 @@ fn unexplained(
     evidence.more.insert("shared_by".to_owned(), sharing.into());
     let said = format!("unexplained residual {} rms{shared}", sizes(&residual.error));
     let varying_angle = &attributed.varying_angle;
-    let jitter = attributed.stream.diagnosis.delay_jitter.as_ref();
+    /// Of the residual, for delays that explain it.
+    const MIN_SCATTER_SHARE: f64 = 0.5;
+    let jitter = attributed.stream.diagnosis.delay_jitter.as_ref().filter(|jitter| {
+        attributed.subject.reference.is_none()
+            && jitter.scatter_m > MIN_SCATTER_SHARE * residual.error.length.whole.rms
+    });
     let scatter = jitter.map_or(String::new(), |jitter| {
         let scatter = Unit::Second.show(jitter.scatter_s);
         format!("; it is mostly along the motion, as delays that scatter by {scatter} produce it")

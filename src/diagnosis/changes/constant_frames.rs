@@ -42,7 +42,7 @@ fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec
     let mut linear = Linear::new(all.len(), &[FLOOR_M, FLOOR_RAD]);
     let identity = Pose::identity();
     let mask = |vector: Vec3| if has_rotation { vector } else { Vec3::zeros() };
-    for (row, fk) in aligned.fk_at_truth.iter().enumerate() {
+    for (row, fk) in aligned.fk_at_truth.iter().take(aligned.corrected.len()).enumerate() {
         let [shift, turn] = aligned.residual(row, fk);
         let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
         let jacobian = PoseJacobian::new(&[], &identity, fk, &identity);

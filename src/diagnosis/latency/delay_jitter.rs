@@ -15,6 +15,8 @@ pub struct DelayJitter {
     pub mean_s: Measured,
     /// Rms deviation from the median, s.
     pub scatter_s: f64,
+    /// Rms error along the motion that it produces, with angles at 0.3 m.
+    pub scatter_m: f64,
 }
 
 /// Converts angles to lengths, m.
@@ -72,6 +74,7 @@ pub(crate) fn estimate_delay_jitter(
         median_s: measured(middle_s, of_blocks(&middle)),
         mean_s: measured(mean(&all), of_blocks(&mean)),
         scatter_s: (spread / all.len() as f64).sqrt(),
+        scatter_m: (along / all.len() as f64).sqrt(),
     })
 }
 

@@ -327,9 +327,10 @@ fn speed_change(
     let after = last.and_then(|last| speed_at(to, to..last + 1));
     before.zip(after).map_or(0.0, |(before, after)| {
         let change = (after - before).abs();
-        match change < MIN_CHANGED_SHARE * before.abs().max(after.abs()) {
-            true => 0.0,
-            false => change,
+        match change >= MIN_CHANGED_SHARE * before.abs().max(after.abs()) {
+            true => change,
+            // Also with values that are not finite.
+            false => 0.0,
         }
     })
 }

@@ -26,8 +26,9 @@ pub(crate) fn rows_of_numbers(
         TableFormat::Yaml => records::read_yaml(bytes, context),
         _ => return None,
     };
-    match tables.ok()?.as_slice() {
-        [(_, table)] => Some(table.rows_of_numbers()),
+    let tables = tables.ok().filter(|_| losses.is_empty())?;
+    match tables.as_slice() {
+        [(_, table)] if table.losses.is_empty() => Some(table.rows_of_numbers()),
         _ => None,
     }
 }

@@ -12,7 +12,7 @@ use flate2::read::ZlibDecoder;
 
 use self::elements::{ElementArray, ElementArrays};
 use super::npy::{ElementType, RawArray, tables_of_arrays};
-use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_by_name};
+use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_by_names};
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"MATLAB 5.0 MAT-file";
@@ -32,7 +32,7 @@ const MAX_ELEMENT_ARRAYS: usize = 1_000_000;
 struct Variables {
     arrays: Vec<RawArray>,
     elements: Vec<ElementArray>,
-    rate_hz: Option<f64>,
+    scalars: Vec<(String, f64)>,
     unread: Vec<(String, String)>,
 }
 
@@ -53,7 +53,8 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
             break;
         }
     }
-    let Variables { mut arrays, elements, rate_hz, mut unread } = found;
+    let Variables { mut arrays, elements, scalars, mut unread } = found;
+    let rate_hz = rate_by_names(scalars.iter().map(|(name, value)| (name.as_str(), *value)));
     match elements::combine(elements, &arrays, &mut unread) {
         ElementArrays::Whole(combined) => {
             arrays.extend(combined);
@@ -231,7 +232,7 @@ impl Variables {
         };
         if element.is_none() && sides.iter().all(|side| *side == 1) {
             let value = (data.len() >= kind.size()).then(|| kind.read(data));
-            self.rate_hz = value.and_then(|value| rate_by_name(&name, value)).or(self.rate_hz);
+            self.scalars.extend(value.map(|value| (name, value)));
             return Ok(());
         }
         // Numbers are stored by columns. The pages of a three-dimensional array are its rows.

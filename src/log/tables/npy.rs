@@ -7,7 +7,7 @@ use std::io::{Cursor, Read};
 use super::chunks::unravel_index;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, RowCounts, Table,
-    TableError, is_transposed, rate_by_name, row_counts,
+    TableError, is_transposed, rate_by_names, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -121,7 +121,7 @@ pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
 pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
-    let (mut arrays, mut rate_hz) = (Vec::new(), None);
+    let (mut arrays, mut scalars) = (Vec::new(), Vec::new());
     let (mut unread, mut candidates) = (Vec::new(), Vec::new());
     let count = archive.len();
     if count > MAX_COLUMNS {
@@ -136,8 +136,7 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
         match unpack_member(&mut archive, index, MAX_HEADER_BYTES as u64 + 64) {
             Ok(head) => match parse_header(&head) {
                 Ok((header, _)) if header.is_scalar() => {
-                    let rate = scalar_value(&head).and_then(|value| rate_by_name(&name, value));
-                    rate_hz = rate.or(rate_hz);
+                    scalars.extend(scalar_value(&head).map(|value| (name, value)));
                 }
                 Ok((header, data)) => arrays.push((index, name, header, head.len() - data.len())),
                 Err(why) => unread.push((name, why.to_string())),
@@ -172,6 +171,7 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
             Err(why) => candidates.push(ReadColumn::unreadable(&name, rows, why)),
         }
     }
+    let rate_hz = rate_by_names(scalars.iter().map(|(name, value)| (name.as_str(), *value)));
     tables_of_columns(candidates, rate_hz, unread, context)
 }
 

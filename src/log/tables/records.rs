@@ -251,7 +251,11 @@ pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
             "---" => documents.push(String::new()),
             line => {
                 // A key cannot repeat: another record begins.
-                if first_key.is_some() && key(line) == first_key {
+                let has_content = |text: &String| text.lines().any(|line| is_content(&line));
+                if first_key.is_some()
+                    && key(line) == first_key
+                    && documents.last().is_some_and(has_content)
+                {
                     documents.push(String::new());
                 }
                 let last = documents.last_mut();

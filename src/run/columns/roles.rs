@@ -57,8 +57,10 @@ impl MatchingColumns {
     }
 }
 
-/// Between two positions of the tool, of which one is not measured; as between two encodings of the joint states.
+/// Residual of a desired position of the tool over that of the measured one. The search for encodings of joints uses the same.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;
+/// Typical link deviations at the tip. Smaller residuals distinguish nothing.
+const MIN_RESIDUAL_M: f64 = 1e-4;
 /// Minimum lead of commands, s, if poses distinguish them.
 const MIN_LEAD_S: f64 = 0.02;
 
@@ -155,20 +157,24 @@ impl ColumnSearch<'_> {
                     pose_commands = Some((other, -shift.delay_s));
                 }
                 _ => {
-                    let residual_m = |position: [usize; 3]| {
-                        let found = self.refit(&mapping.joints, position, best, wanted)?;
-                        Some(found.residual_m)
-                    };
-                    let both = residual_m(position).zip(residual_m(other));
-                    let why = || "the same position, further from FK".to_owned();
-                    if both.is_some_and(|(own_m, other_m)| MIN_RESIDUAL_RATIO * own_m < other_m) {
-                        others.push((other.to_vec(), why()));
-                        continue;
-                    }
-                    if both.is_some_and(|(own_m, other_m)| MIN_RESIDUAL_RATIO * other_m < own_m) {
-                        others.push((position.to_vec(), why()));
-                        position = other;
-                        continue;
+                    let refit =
+                        |position: [usize; 3]| self.refit(&mapping.joints, position, best, wanted);
+                    if let Some((own, of_other)) = refit(position).zip(refit(other)) {
+                        let is_nearer = |one: &ColumnMapping, than: &ColumnMapping| {
+                            than.residual_m
+                                > MIN_RESIDUAL_M.max(MIN_RESIDUAL_RATIO * one.residual_m)
+                        };
+                        let why = || "the same position, further from FK".to_owned();
+                        if is_nearer(&own, &of_other) {
+                            others.push((other.to_vec(), why()));
+                            continue;
+                        }
+                        if is_nearer(&of_other, &own) {
+                            others.push((position.to_vec(), why()));
+                            position = other;
+                            mapping = of_other;
+                            continue;
+                        }
                     }
                     let with = |position: [usize; 3]| {
                         self.answer_with(&ColumnMapping { position, ..mapping.clone() }, wanted)
