@@ -13,8 +13,8 @@ rule! {
     /// A joint accelerates by more than 20 rad/s² (5 m/s² if prismatic). The acceleration is the slope of
     /// the logged velocities if they agree with the positions, otherwise the second derivative of the
     /// positions. Both are fitted over windows of 3 to 33 samples, once as stamped and once evenly spaced;
-    /// the smaller value counts. The speed must change for longer than the window, by a fifth of it or more: a ripple that
-    /// returns is no stop. The window most significant beyond noise is reported.
+    /// the smaller value counts. The speed must change for longer than the window, by a fifth of it or more; a ripple of
+    /// the speed is not reported. The window most significant beyond noise is reported.
     ///
     /// ## Why it matters
     /// Such stops shake the arm and its payload and wear the gears. They are typical of protective stops,

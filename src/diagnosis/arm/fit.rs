@@ -115,8 +115,8 @@ fn fit_with_link_deviations(
         let start = common_start(decoded, corrected, with_offsets, &candidates);
         let candidates = candidates(decoded);
         let model = match start {
-            Ok(model) => *model,
-            Err(state) => select_model(&observations, state, &candidates),
+            Start::Final(model) => *model,
+            Start::At(state) => select_model(&observations, state, &candidates),
         };
         let model = or_without_causes(&observations, model, &candidates);
         (model, candidates)
@@ -431,8 +431,12 @@ fn candidate_causes(
     CandidateCauses { always, optional, may_confound_frames: false }
 }
 
-/// The converged model of the same streams and samples, or a start of their fit.
-type Start = Result<Box<SelectedModel>, State>;
+/// Start of a fit.
+enum Start {
+    At(State),
+    /// Converged model of the same streams and samples.
+    Final(Box<SelectedModel>),
+}
 
 /// Best start of all streams.
 fn common_start(
@@ -447,12 +451,15 @@ fn common_start(
     if let [only] = decoded {
         return start(only);
     }
-    let state = |stream: &&DecodedStream| start(stream).map_or_else(|it| it, |model| model.state);
+    let state = |stream: &&DecodedStream| match start(stream) {
+        Start::At(state) => state,
+        Start::Final(model) => model.state,
+    };
     let single_stream: Vec<State> = decoded.iter().map(state).collect();
     // The streams share the joints: start from the stream with most samples.
     let largest_stream =
         (0..decoded.len()).max_by_key(|&s| decoded[s].observations.len()).unwrap_or(0);
-    Err(State {
+    Start::At(State {
         offsets: single_stream[largest_stream].offsets.clone(),
         streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
     })
@@ -497,14 +504,14 @@ fn best_start(
     }
     let best = select_from_starts(&decoded.observations, starts, candidates);
     let Some(best) = best else {
-        return Err(start(&corrected.offsets, StreamState::default()));
+        return Start::At(start(&corrected.offsets, StreamState::default()));
     };
     if let Some(turned) = with_base_turned(&best.state, &decoded.observations) {
-        return Err(turned);
+        return Start::At(turned);
     }
     match best.is_converged && decoded.observations.len() <= MAX_SEARCH_SAMPLES {
-        true => Ok(Box::new(best)),
-        false => Err(best.state),
+        true => Start::Final(Box::new(best)),
+        false => Start::At(best.state),
     }
 }
 

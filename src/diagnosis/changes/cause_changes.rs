@@ -102,9 +102,9 @@ impl Change {
     }
 }
 
-/// Added to the factor of each change. Without changes, the state is between the first and the last one.
+/// Added to the profile of each change to remove the change. The state that remains is the middle of all states.
 const TO_MIDDLE: f64 = 0.0;
-/// The same for the first state: slips and collisions happen later.
+/// The state that remains is the first one, because slips and collisions happen later.
 const TO_START: f64 = 1.0;
 
 /// A stream that follows FK, and what changes it.

@@ -251,7 +251,7 @@ impl Clock {
     }
 }
 
-/// With an independent error.
+/// Adds an independent standard error.
 fn widened(measured: Measured, error: f64) -> Measured {
     Measured { std_error: measured.std_error.hypot(error), ..measured }
 }

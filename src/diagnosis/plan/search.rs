@@ -112,7 +112,8 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
         draws.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(middle) = draws.get(draws.len() / 2).cloned() else { continue };
         let (_, series) = search.improve(draws.swap_remove(0), share, &mut random);
-        if let offence @ Some(_) = search.first_violation(&series, RESULT_CLEARANCE_HZ) {
+        let offence = search.first_violation(&series, RESULT_CLEARANCE_HZ);
+        if offence.is_some() {
             last = offence;
             continue;
         }
