@@ -590,4 +590,30 @@ mod tests {
             assert!(zeros(&found).is_empty(), "{link_m}: {:?}", zeros(&found));
         }
     }
+
+    /// Larger links than usual could explain both.
+    #[test]
+    fn a_radial_scale_is_found_beside_a_zero_of_the_wrist() {
+        const SCALE: f64 = 8e-3;
+        let (joints, chain) = arm();
+        for (link_m, zero_rad) in [(3e-5, 0.0175), (1e-4, 0.05)] {
+            let deviating = deviating_chain(link_m);
+            let mut random = Lcg::new();
+            let poses = joints.q.chunks(6).map(|q| {
+                let mut q = q.to_vec();
+                q[3] += zero_rad;
+                let pose = deviating.forward(&q);
+                let xyz = pose.translation.vector * (1.0 + SCALE);
+                (xyz + Vec3::from(random.triple(2e-5)), pose.rotation)
+            });
+            let track = pose_track(&joints.t_s, poses);
+            let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
+            let [stream] = found.streams.as_slice() else { panic!("{:?}", found.streams.len()) };
+            let scale = stream.radial_scale.as_ref().expect("a scale").value;
+            assert!(stream.is_radial_scale_chosen && (scale - SCALE).abs() < 5e-4, "{scale}");
+            let zero = &found.joints.offsets[3];
+            let value = zero.offset.as_ref().expect("a zero").value;
+            assert!(zero.is_chosen && (value - zero_rad).abs() < 1e-3, "{link_m}: {value}");
+        }
+    }
 }
