@@ -171,7 +171,7 @@ fn poses_of_the_commanded_joints_are_not_compared_with_the_measured_ones() {
     let stream = report
         .streams
         .iter()
-        .find(|stream| stream.role == "reference" && stream.reason.contains("FK of the commands"));
+        .find(|stream| stream.role == "unassigned" && stream.reason.contains("FK of the commands"));
     assert!(stream.is_some(), "{:?}", report.streams);
 }
 

@@ -112,7 +112,7 @@ fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
     })
 }
 
-/// Leaves the columns of a table to their names, if they show the joints but no layout states them.
+/// Layout that identifies the columns of a table by their names, if these show the joints.
 fn open_layout(log: &Log, table: usize) -> Option<RowLayout> {
     let has_joints = log.topics.iter().any(|topic| {
         matches!(topic.columns, Some(Columns::Joints(_)))

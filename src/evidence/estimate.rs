@@ -51,7 +51,7 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
         let mut found = diagnose_one(run, &run.arms[index], max_lag_s);
         let commanded = commanded_poses(run, index, &found.arm, max_lag_s);
         if !commanded.is_empty() {
-            run.resolve_commanded_poses(commanded);
+            run.exclude_commanded_poses(commanded);
             found = diagnose_one(run, &run.arms[index], max_lag_s);
         }
         if realign_moving_bases(run, index, &found.arm) {

@@ -41,7 +41,7 @@ pub(super) fn neighbours(
     })
 }
 
-/// A time of 0 is not set if the other times are those of a clock that counts from 1970.
+/// A time of 0 is unset if the other times come from a clock that counts from 1970.
 pub(super) fn join(a: Span, b: Span) -> Span {
     /// 2001. A clock that starts with the robot does not reach it.
     const EPOCH: Stamp = Stamp::from_nanos(1_000_000_000 * NANOS_PER_SECOND);
@@ -53,4 +53,19 @@ pub(super) fn join(a: Span, b: Span) -> Span {
         return a;
     }
     (a.0.min(b.0), a.1.max(b.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_that_are_not_set_do_not_extend_a_span() {
+        let [zero, early, first, last] =
+            [0, 5, 1_748_331_284, 1_748_331_286].map(|s| Stamp::from_nanos(s * NANOS_PER_SECOND));
+        assert_eq!(join((zero, zero), (first, last)), (first, last));
+        assert_eq!(join((first, last), (zero, zero)), (first, last));
+        // A simulation starts at 0.
+        assert_eq!(join((zero, zero), (early, early)), (zero, early));
+    }
 }

@@ -45,7 +45,7 @@ impl Run {
     /// Assembles the run, lets `correct` change it, and resolves open roles by motion.
     ///
     /// # Errors
-    /// Those of [`Run::assemble`] and of `correct`.
+    /// As [`Run::assemble`], and the errors of `correct`.
     pub fn complete<E: From<RunError>>(
         log: Log,
         options: &RunOptions,

@@ -21,7 +21,7 @@ pub(super) const MIN_DURATION_S: f64 = 0.25;
 pub(super) const MIN_PERIODS: usize = 10;
 /// Gaps longer than this end a span, s.
 const MAX_GAP_S: f64 = 1.0;
-/// Latency at which values near both ends may lie outside the joint states, s; such spans are not reported.
+/// With this latency, values near both ends may lie outside the joint states, s; such spans are not reported.
 const MAX_LATENCY_S: f64 = 1.0;
 /// Accuracy of a lag from speeds, s.
 pub(super) const LAG_ACCURACY_S: f64 = 0.1;
@@ -203,7 +203,7 @@ impl Run {
 /// First and last sample of a span, and the motion of the fastest joint.
 type FrozenSamples = (usize, usize, f64);
 
-/// All but the repeats within spans. If it jumps to the value, as a tracker's zeros without a target, that is no sample either.
+/// All but the repeats within spans. If it jumps to the value, such as zeros of a tracker without a target, the value is dropped, too.
 fn kept_samples(track: &PoseTrack, spans: impl Iterator<Item = (usize, usize)>) -> Vec<bool> {
     let mut kept = vec![true; track.t_s.len()];
     for (first, last) in spans {

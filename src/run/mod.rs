@@ -350,16 +350,15 @@ impl Run {
         }
     }
 
-    /// Makes poses commands: they are FK of the commands on these topics.
-    pub(crate) fn resolve_commanded_poses(&mut self, poses: Vec<(usize, String)>) {
+    /// Excludes poses that are FK of the commands on these topics.
+    pub(crate) fn exclude_commanded_poses(&mut self, poses: Vec<(usize, String)>) {
         self.remove_sources(&poses.iter().map(|(stream, _)| *stream).collect());
         for (stream, commands) in poses {
             let reason = format!(
-                "{}; it is FK of the commands on {commands}, not of the joint states",
+                "{}; FK of the commands on {commands}, not of the joint states, explains it",
                 self.streams[stream].reason
             );
             self.clear_role(stream, reason);
-            self.streams[stream].role = Role::Reference;
         }
     }
 

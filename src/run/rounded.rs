@@ -93,7 +93,7 @@ fn parts_of_use(stream: &Stream, clock: Clock) -> Vec<(usize, &[i64])> {
     parts.map(|(piece, times)| (piece, times.nanos_on(clock_of_rows(times, clock)))).collect()
 }
 
-/// Whether the stamps of a stream are those of some joint states, such as every second or third, whose own are even.
+/// Whether the stamps of a stream are copied from joint states with even stamps, for example from every second one.
 fn are_copies_of_even_joints(raw: &[i64], of: usize, streams: &[Stream], clock: Clock) -> bool {
     streams.iter().enumerate().filter(|(index, _)| *index != of).any(|(_, stream)| {
         let Some(columns @ Columns::Joints(joints)) = &stream.columns else { return false };
@@ -402,7 +402,7 @@ mod tests {
         assert!((longest - 0.328).abs() < 0.02, "{longest}");
     }
 
-    /// Poses at 30 Hz, with stamps among those of joint states at 100 Hz: rounded to 10 ms, or copied from the last of them.
+    /// Poses at 30 Hz, with stamps of joint states at 100 Hz: rounded to 10 ms, or copied from the latest joint state.
     #[test]
     fn values_show_whether_stamps_are_rounded_or_copied() {
         let true_s = sent(1.0 / 30.0, 0.0, 0..0);
@@ -420,7 +420,7 @@ mod tests {
         }
     }
 
-    /// Stamps on a grid of 10 ms, at 90 Hz: rounded, or of a sender at 100 Hz of which every ninth row is lost.
+    /// Stamps on a grid of 10 ms, at 90 Hz: rounded, or from a sender at 100 Hz that loses every ninth row.
     #[test]
     fn values_show_whether_stamps_are_rounded_or_rows_are_lost() {
         let sent_s = sent(0.01, 0.0, 0..0);

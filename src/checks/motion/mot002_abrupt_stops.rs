@@ -13,8 +13,8 @@ rule! {
     /// A joint accelerates by more than 20 rad/s² (5 m/s² if prismatic). The acceleration is the slope of
     /// the logged velocities if they agree with the positions, otherwise the second derivative of the
     /// positions. Both are fitted over windows of 3 to 33 samples, once as stamped and once evenly spaced;
-    /// the smaller value counts. The speed must change for longer than the window, by a fifth of it or more; a ripple of
-    /// the speed is not reported. The window most significant beyond noise is reported.
+    /// the smaller value counts. The speed must change by at least 20 %, and for longer than the window: ripple is not
+    /// reported. The window most significant beyond noise is reported.
     ///
     /// ## Why it matters
     /// Such stops shake the arm and its payload and wear the gears. They are typical of protective stops,
@@ -35,8 +35,8 @@ rule! {
     /// A stop between two samples is averaged over them: record at 100 Hz or more. The result is
     /// inconclusive if noise or stamp jitter hides such an acceleration, or if samples are more than 50 ms
     /// apart. Gaps (TIM002) are skipped, and repeated samples (TIM008) count once. If rows repeat others
-    /// while the arm moves, the age of the positions varies, and accelerations that this can produce are no
-    /// finding. A value that no arm can reach is reported as wrong data.
+    /// while the arm moves, the age of the positions varies, and accelerations that this can produce are not
+    /// reported. A value that no arm can reach is reported as wrong data.
     MOT002 {
         limits: &[MAX_REVOLUTE_ACCELERATION, MAX_PRISMATIC_ACCELERATION],
         name: "abrupt-stops",

@@ -112,7 +112,7 @@ pub(super) fn poses_within(series: &PoseSeries, from_s: f64, to_s: f64) -> &[Pos
     &series.poses[from..to]
 }
 
-/// Mean of nearly equal poses. `None` if there are none.
+/// Mean of nearly equal poses. `None` without poses.
 pub(super) fn mean_pose(poses: &[Pose]) -> Option<Pose> {
     let first = poses.first()?;
     let (mut xyz, mut turn, count) = (Vec3::zeros(), Vec3::zeros(), poses.len() as f64);

@@ -3,8 +3,8 @@
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, JointKind};
 
-/// Relative masses, assumed if the model has none. `taper` is the mass ratio of successive links, `tool`
-/// that of tool to last link.
+/// Relative masses, assumed if the model has none. `taper` is the mass ratio of successive links, `tool` the mass ratio of
+/// tool and last link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MassModel {
     pub taper: f64,

@@ -23,8 +23,8 @@ use rayon::prelude::*;
 const MAX_RESIDUAL_RATIO: f64 = 5.0;
 /// A residual within this difference (0.05°) is accepted too.
 pub(crate) const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
-/// Link deviations rarely cancel to a smaller share in another encoding: residuals of 0.15° as logged and
-/// 0.02° inverted, at a tool that points down, are those of a healthy arm.
+/// Link deviations rarely cancel to a smaller share in another encoding: a healthy arm whose tool points down has residuals
+/// of 0.15° as logged and 0.02° inverted.
 const MAX_LINK_RESIDUAL_RATIO: f64 = 20.0;
 /// Above this, no candidate is accepted (20°).
 pub(crate) const MAX_RESIDUAL_RAD: f64 = 0.35;
@@ -267,7 +267,7 @@ pub(crate) fn estimate_imu_encoding(
         })
         .collect();
     let by_links = max_by_links(min_residual);
-    // Beside the same frame errors, another encoding must explain more than link deviations. So must frame errors beside
+    // With the same frame errors, another encoding must explain more than link deviations. So must frame errors with
     // another encoding.
     let is_usual = |rank: u8, fit: &EncodingFit| {
         rank == 0
@@ -369,7 +369,7 @@ fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
     }
 }
 
-/// Rank by faults; lower is simpler. Rotation of an unknown reference is no fault.
+/// Rank by faults; lower is simpler. Rotation of an unknown reference does not count.
 fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
     let fault =
         u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
@@ -401,8 +401,8 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 }
 
 /// Fits of the candidates that may be accepted, of at least [`MIN_FITTED`], and as logged. If the stream fits
-/// without a fault and `agrees` with other sensors, other frames cannot win and are not tried. Numbers in any convention
-/// are no fault.
+/// without a fault and `agrees` with other sensors, other frames cannot win and are not tried. Numbers fit
+/// without a fault in any convention.
 fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
     let faultless = match samples.logged {

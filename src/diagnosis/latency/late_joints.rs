@@ -1,4 +1,4 @@
-//! Latency between groups of joints of one arm, whose states come from topics of their own.
+//! Latency between groups of joints of one arm, if several topics contain their states.
 
 use crate::PoseStream;
 use crate::model::jacobian::{Derivative, PoseJacobian};
@@ -101,7 +101,7 @@ impl TwoLatencies {
         Some(found)
     }
 
-    /// Change of both latencies by one least-squares step, in which joint zeros, the reference and the position of the tool
+    /// Change of both latencies by one least-squares step. Joint zeros, the reference and the position of the tool
     /// are free.
     fn step(
         joints: &JointTrack,

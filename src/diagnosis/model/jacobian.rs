@@ -37,7 +37,7 @@ impl<'a> PoseJacobian<'a> {
         self.of_pose(self.link[joint])
     }
 
-    /// Velocity of the pose at that of the link.
+    /// Velocity of the pose at this velocity of the link.
     fn of_pose(&self, [x, y, z, rx, ry, rz]: [f64; 6]) -> Derivative {
         let angular = Vec3::new(rx, ry, rz);
         let linear = Vec3::new(x, y, z) + angular.cross(&self.lever);

@@ -15,7 +15,7 @@ use super::row_losses::may_be_clock;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH,
     ReadColumn, ReadContext, RowLoss, Table, TableError, is_transposed, most_frequent_rows, names,
-    rate_by_names, rate_in, row_counts,
+    rate_by_name, rate_in, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -399,9 +399,8 @@ fn number_type(datatype: &Datatype) -> Option<String> {
 /// robomimic writes it in `env_args`.
 fn rate_of(group: &Group) -> Option<f64> {
     let attributes = group.attributes().ok()?;
-    let plain = attributes
-        .iter()
-        .filter_map(|attribute| Some((attribute.name.as_str(), attribute.read_as_f64().ok()?)));
+    let plain =
+        |attribute: &Attribute| rate_by_name(&attribute.name, attribute.read_as_f64().ok()?);
     let in_text = |attribute: &Attribute| {
         let text =
             (attribute.name == "env_args").then(|| attribute.read_string().ok()).flatten()?;
@@ -410,7 +409,7 @@ fn rate_of(group: &Group) -> Option<f64> {
         }
         rate_in(&serde_json::from_str(&text).ok()?)
     };
-    rate_by_names(plain).or_else(|| attributes.iter().find_map(in_text))
+    attributes.iter().find_map(plain).or_else(|| attributes.iter().find_map(in_text))
 }
 
 fn read_error(error: &hdf5_reader::error::Error) -> TableError {

@@ -12,7 +12,7 @@ use flate2::read::ZlibDecoder;
 
 use self::elements::{ElementArray, ElementArrays};
 use super::npy::{ElementType, RawArray, tables_of_arrays};
-use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_by_names};
+use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_of_scalars};
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"MATLAB 5.0 MAT-file";
@@ -54,7 +54,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         }
     }
     let Variables { mut arrays, elements, scalars, mut unread } = found;
-    let rate_hz = rate_by_names(scalars.iter().map(|(name, value)| (name.as_str(), *value)));
+    let rate_hz = rate_of_scalars(&scalars);
     match elements::combine(elements, &arrays, &mut unread) {
         ElementArrays::Whole(combined) => {
             arrays.extend(combined);

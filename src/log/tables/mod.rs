@@ -904,20 +904,24 @@ fn pose_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> PoseColum
     }
 }
 
-/// Rate of a table, Hz, by named numbers: the first that is named as a rate, or else as a sampling period.
-fn rate_by_names<'a>(numbers: impl Iterator<Item = (&'a str, f64)> + Clone) -> Option<f64> {
+/// Sampling rate, Hz, if a number is named as one.
+fn rate_by_name(name: &str, value: f64) -> Option<f64> {
     const RATES: &[&str] =
         &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "rate", "hz"];
-    const PERIODS: &[&str] =
-        &["dt", "sample_time", "sampling_time", "sampling_period", "time_step", "timestep"];
+    let is_named = RATES.iter().any(|rate| name.eq_ignore_ascii_case(rate));
+    Some(value).filter(|rate_hz| is_named && is_rate(rate_hz))
+}
+
+/// Sampling rate, Hz, by the scalars that are stored with arrays: a rate, or else a sampling period.
+fn rate_of_scalars(scalars: &[(String, f64)]) -> Option<f64> {
+    const PERIODS: &[&str] = &["dt", "sample_time", "sampling_time", "sampling_period"];
     /// Periods in s. Longer ones may be those of a motion, or in another unit.
     const PERIODS_S: Range<f64> = 1e-4..1.0;
-    let named = |(name, _): &(&str, f64), names: &[&str]| {
-        names.iter().any(|known| name.eq_ignore_ascii_case(known))
+    let is_period = |(name, value): &&(String, f64)| {
+        PERIODS.iter().any(|period| name.eq_ignore_ascii_case(period)) && PERIODS_S.contains(value)
     };
-    let rate = numbers.clone().find(|own| named(own, RATES) && is_rate(&own.1));
-    let period = || numbers.clone().find(|own| named(own, PERIODS) && PERIODS_S.contains(&own.1));
-    rate.map(|own| own.1).or_else(|| Some(1.0 / period()?.1))
+    let rate_hz = scalars.iter().find_map(|(name, value)| rate_by_name(name, *value));
+    rate_hz.or_else(|| Some(1.0 / scalars.iter().find(is_period)?.1))
 }
 
 fn is_rate(rate_hz: &f64) -> bool {
@@ -926,8 +930,8 @@ fn is_rate(rate_hz: &f64) -> bool {
 
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
-    let numbers = all.iter().filter_map(|(name, value)| Some((name.as_str(), value.as_f64()?)));
-    rate_by_names(numbers).or_else(|| all.values().find_map(rate_in))
+    let own = all.iter().find_map(|(name, value)| rate_by_name(name, value.as_f64()?));
+    own.or_else(|| all.values().find_map(rate_in))
 }
 
 /// Number of arrays that may have each number of rows. A `k` by `N` array has `k` or `N`.

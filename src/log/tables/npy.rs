@@ -7,7 +7,7 @@ use std::io::{Cursor, Read};
 use super::chunks::unravel_index;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, RowCounts, Table,
-    TableError, is_transposed, rate_by_names, row_counts,
+    TableError, is_transposed, rate_of_scalars, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -171,7 +171,7 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
             Err(why) => candidates.push(ReadColumn::unreadable(&name, rows, why)),
         }
     }
-    let rate_hz = rate_by_names(scalars.iter().map(|(name, value)| (name.as_str(), *value)));
+    let rate_hz = rate_of_scalars(&scalars);
     tables_of_columns(candidates, rate_hz, unread, context)
 }
 

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, ReadColumn, ReadContext, RowLoss,
-    Table, TableError, most_frequent, rate_by_names,
+    Table, TableError, most_frequent, rate_by_name,
 };
 use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
@@ -147,11 +147,10 @@ impl Example {
     }
 
     fn rate_hz(&self) -> Option<f64> {
-        let scalars = self.features.iter().filter_map(|(name, own)| match own.as_slice() {
-            [value] => Some((name.rsplit('/').next().unwrap_or(name), *value)),
+        self.features.iter().find_map(|(name, own)| match own.as_slice() {
+            [value] => rate_by_name(name.rsplit('/').next().unwrap_or(name), *value),
             _ => None,
-        });
-        rate_by_names(scalars)
+        })
     }
 
     fn table(

@@ -56,7 +56,7 @@ pub(super) fn identify_commands(log: &mut Log) {
                         others.join(", ")
                     );
                     topic.columns = None;
-                    topic.unusable = Some(format!("its names contradict those of '{name}'"));
+                    topic.unusable = Some(format!("its names contradict the names of '{name}'"));
                     if let Some(file) = log.files.first().map(|file| file.path.clone()) {
                         log.contradictions.get_or_insert_default().push(Note { file, what });
                     }

@@ -33,8 +33,8 @@ pub(super) fn report_contradictions(log: &mut Log) {
     }
 }
 
-/// Index of the first of four numbers whose norm is 1 in each row, while two or more of them move: a rotation about one
-/// axis moves two.
+/// Index of the first of four numbers whose norm is 1 in each row, if at least two move: a rotation about one axis moves
+/// two.
 fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     const MAX_NORM_DEVIATION: f64 = 1e-3;
     const MIN_SPAN: f64 = 0.05;

@@ -68,6 +68,25 @@ fn transposed_arrays_of_two_rates_are_turned() {
 }
 
 #[test]
+fn scalars_give_the_rate_or_else_the_period_of_arrays() {
+    let scalar = |name: &'static str, value: f64| (name, array_of(&[], |_| value));
+    let q = || ("q", array_of(&[300, 6], wave));
+    for (scalars, period_ns) in [
+        (vec![scalar("dt", 0.004)], 4_000_000),
+        (vec![scalar("fps", 50.0), scalar("dt", 0.004)], 20_000_000),
+        (vec![scalar("dt", 0.004), scalar("fps", 50.0)], 20_000_000),
+    ] {
+        let log = plain(&npz(&[vec![q()], scalars].concat()));
+        let stamps = stamps(&log, "q");
+        assert_eq!(stamps[1] - stamps[0], period_ns);
+    }
+    // A period of a second or more may be that of a motion.
+    let archive = npz(&[q(), scalar("dt", 2.0)]);
+    let error = read(&archive, ColumnSettings::default()).expect_err("no times").to_string();
+    assert!(error.contains("no column holds times"), "{error}");
+}
+
+#[test]
 fn config_columns_may_be_of_either_rate() {
     let selector = |text: &str| vec![text.parse().expect("a selector")];
     let columns = ColumnSettings {
