@@ -226,10 +226,10 @@ fn is_enough(diagnosis: &ArmDiagnosis, other: &ArmDiagnosis, streams: &[PoseStre
 /// Diagnosis with joint compliance, scales and couplings of joints, or changes of causes. `None` if `constant` is likelier.
 fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     let is_within_links = !are_floating(run.streams) && constant_frames_suffice(constant);
-    // Link deviations look like sag and eccentricity, but not like backlash.
-    let is_distinct = |it: &ArmDiagnosis| {
-        !is_within_links || it.joints.compliance.iter().all(JointCompliance::is_backlash)
-    };
+    // Link deviations look like sag and eccentricity, which depend on positions alone.
+    let is_of_motion = |it: &JointCompliance| it.is_backlash() || it.delay_s().is_some();
+    let is_distinct =
+        |it: &ArmDiagnosis| !is_within_links || it.joints.compliance.iter().all(is_of_motion);
     let is_explained = |it: &ArmDiagnosis| it.is_explained(run.streams);
     let is_open = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
         has_large_residual(found) && !changes::is_explained(found, stream)
@@ -324,6 +324,27 @@ mod tests {
         let are_derived = [0, 1].map(|s: usize| found.streams[s].is_derived);
         assert_eq!(are_derived, [true, false]);
         found
+    }
+
+    #[test]
+    fn late_positions_of_one_joint_are_no_backlash() {
+        let (mut joints, chain) = test_motion::arm();
+        let poses = controller_and_tracker(&joints, 1e-4, |_, _| {});
+        let late = joints.clone();
+        let (mut cursor, mut q, mut qd) = (0, [0.0; 6], [0.0; 6]);
+        for (row, t_s) in late.t_s.iter().enumerate() {
+            late.at(t_s - 0.02, &mut cursor, &mut q, &mut qd);
+            joints.q[6 * row + 3] = q[3];
+        }
+        let stream = test_motion::tip_stream(&poses[0], &chain);
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
+        let [late] = found.joints.compliance.as_slice() else {
+            panic!("{:?}", found.joints.compliance)
+        };
+        let delay = late.delay_s().expect("a delay");
+        assert!(late.column == 3 && (delay.value - 0.02).abs() < 1e-3, "{delay:?}");
+        let latency = found.streams[0].latency_s.as_ref().expect("a latency");
+        assert!(latency.value.abs() < 1e-3, "{latency:?}");
     }
 
     #[test]

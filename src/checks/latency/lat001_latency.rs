@@ -27,7 +27,8 @@ rule! {
     /// interval that allows for correlated noise. For a camera target: the lag that best closes the
     /// hand-eye chain, fitted together with the camera's pose. For one of several topics of an arm's joint
     /// states: the lag at which its joints match the poses together with the others; other rules use the
-    /// corrected stamps. Late transforms of a moving frame, such as odometry, are also corrected for other rules.
+    /// corrected stamps. For one joint: the delay that explains errors proportional to its speed (a filter, or encoders
+    /// that are read one after another). Late transforms of a moving frame, such as odometry, are also corrected for other rules.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
     /// of the two is off, `indistinguishable` lists the other one.
@@ -138,7 +139,12 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let of_transforms = arm.poses.iter().filter_map(|stream| {
         Some(judge_transforms(case, arm, stream.late_transforms.as_ref()?, stream.span))
     });
-    let of_groups: Vec<SubjectResult> = of_topic.chain(of_transforms).collect();
+    let of_joints = arm
+        .diagnosis
+        .compliance
+        .iter()
+        .filter_map(|late| Some(judge_joint(case, arm, late.column, &late.delay_s()?)));
+    let of_groups: Vec<SubjectResult> = of_topic.chain(of_transforms).chain(of_joints).collect();
     of_groups.into_iter().chain(judge_streams(case, arm, &streams)).collect()
 }
 
@@ -189,6 +195,28 @@ fn judge_joint_topic(
     };
     let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
     late.judged(outcome).within(late.span).estimated(estimate)
+}
+
+/// Latency of one joint's positions against the other joints.
+fn judge_joint(case: &Case, arm: &ArmEvidence, column: usize, latency: &Measured) -> SubjectResult {
+    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
+    let outcome = decide(latency, &threshold, case.evidence.subjects()).into_outcome(SETTLE, |severity| {
+        let side = if latency.value > 0.0 { "late" } else { "early" };
+        let size = Measured { value: latency.value.abs(), ..*latency };
+        Fault {
+            severity,
+            cause: Cause::Stamps,
+            title: "one joint's positions are not simultaneous with the others",
+            message: format!("{} {side} against the other joints", THRESHOLD.unit.show_measured(&size)),
+            evidence: Evidence::default(),
+            fix: format!(
+                "read all encoders at one time and filter all joints alike, or shift this joint by {}",
+                shift(latency)
+            ),
+        }
+    });
+    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
+    SubjectResult::new(arm.joint(column), outcome).within(arm.span).estimated(estimate)
 }
 
 /// Latency of the transforms of a moving reference frame, such as odometry.

@@ -1,8 +1,9 @@
-//! Joint compliance: backlash, sag under gravity, and eccentric gears or encoders.
+//! Joint compliance: backlash, sag under gravity, and eccentric gears or encoders. Positions of one joint that are late
+//! are found in the same way.
 //!
 //! Backlash resembles a latency and sag a joint zero, so the selected model may report those and keep a
 //! large residual. The residual is then regressed on one profile per joint ([`search`]): direction of the
-//! last motion (hysteresis), gravity torque, or joint angle. Compliance is reported only if correcting it
+//! last motion (hysteresis), gravity torque, joint angle, or speed. Compliance is reported only if correcting it
 //! reduces the residual substantially.
 
 mod gains;
@@ -45,6 +46,8 @@ struct StreamSamples<'a> {
     joints: &'a [usize],
     /// Reported, all joints of the track.
     q: Vec<Vec<f64>>,
+    /// Velocities of all joints.
+    qd: Vec<Vec<f64>>,
     /// Row of the joint track before the sample, and fraction to the next.
     at: Vec<(usize, f64)>,
 }
@@ -325,7 +328,7 @@ impl ArmRun<'_> {
         let truth_s = self.truth_s(stream, diagnosis);
         let columns = CauseColumns::new(diagnosis, stream.chain).with_free_zeros();
         let dof = self.joints.dof;
-        let (mut all, mut at, mut cursor) = (Vec::new(), Vec::new(), 0);
+        let (mut all, mut all_qd, mut at, mut cursor) = (Vec::new(), Vec::new(), Vec::new(), 0);
         let (mut q, mut qd) = (vec![0.0; dof], vec![0.0; dof]);
         for row in columns.samples() {
             let at_s = truth_s(diagnosis.aligned.t_s[row]);
@@ -336,8 +339,9 @@ impl ArmRun<'_> {
             let period_s = (self.joints.t_s[next] - self.joints.t_s[row]).max(f64::MIN_POSITIVE);
             let part = ((at_s - self.joints.t_s[row]) / period_s).clamp(0.0, 1.0);
             all.push(q.clone());
+            all_qd.push(qd.clone());
             at.push((row, part));
         }
-        StreamSamples { columns, joints: stream.columns, q: all, at }
+        StreamSamples { columns, joints: stream.columns, q: all, qd: all_qd, at }
     }
 }

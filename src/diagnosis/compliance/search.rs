@@ -36,6 +36,8 @@ pub(super) struct ComplianceSearch<'a> {
     gravity: Arc<GravityTorques>,
     /// Per joint over the run.
     max_torque: Vec<f64>,
+    /// Per joint over the run, rad/s.
+    max_speed: Vec<f64>,
     /// Indexed by stream, sample and joint.
     torques: Vec<Vec<Vec<f64>>>,
 }
@@ -53,7 +55,10 @@ impl<'a> ComplianceSearch<'a> {
         for own in torques.iter().flatten() {
             max_torque.iter_mut().zip(own).for_each(|(max, own)| *max = max.max(own.abs()));
         }
-        Some(Self { run, samples, gravity, max_torque, torques })
+        let speeds_of = |column: usize| run.joints.qd.iter().skip(column).step_by(run.joints.dof);
+        let fastest = |column| speeds_of(column).fold(0.0, |max: f64, own| max.max(own.abs()));
+        let max_speed = (0..run.joints.dof).map(fastest).collect();
+        Some(Self { run, samples, gravity, max_torque, max_speed, torques })
     }
 
     /// Same search on other samples.
@@ -63,7 +68,8 @@ impl<'a> ComplianceSearch<'a> {
     {
         let torques = torques(&self.gravity, samples, self.run.joints.dof);
         let (gravity, max_torque) = (Arc::clone(&self.gravity), self.max_torque.clone());
-        ComplianceSearch { run: self.run, samples, gravity, max_torque, torques }
+        let max_speed = self.max_speed.clone();
+        ComplianceSearch { run: self.run, samples, gravity, max_torque, max_speed, torques }
     }
 
     /// Sag whose mean equals a zero of `offset_rad`. `None` if the sign contradicts gravity or it is too
@@ -105,6 +111,7 @@ impl<'a> ComplianceSearch<'a> {
             let kinds = crossings
                 .filter(move |_| moves)
                 .map(ComplianceKind::Backlash)
+                .chain(moves.then_some(ComplianceKind::Delay))
                 // A joint at rest sags as well.
                 .chain(sags.then_some(ComplianceKind::Sag))
                 .chain(orders.filter(move |_| turns));
@@ -152,6 +159,9 @@ impl<'a> ComplianceSearch<'a> {
                             let (sin, cos) = (f64::from(order) * q).sin_cos();
                             values.extend([sin, cos]);
                         }
+                        ComplianceKind::Delay => {
+                            values.push(samples.qd[k][term.column] / self.max_speed[term.column]);
+                        }
                     }
                 }
                 values
@@ -197,7 +207,7 @@ impl<'a> ComplianceSearch<'a> {
         set.into_iter().map(|index| terms[index]).collect()
     }
 
-    /// Small sets. The first has only backlash and sag; a second follows if eccentricity is selected.
+    /// Small sets. The first has no eccentricity; a second follows if eccentricity is selected.
     pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
         let terms = self.candidates();
         let system = self.system(&terms);
@@ -282,6 +292,9 @@ impl<'a> ComplianceSearch<'a> {
                 }
                 ComplianceKind::Eccentric(order) => {
                     ComplianceShape::Eccentric { order, phase_rad: amount[1].atan2(amount[0]) }
+                }
+                ComplianceKind::Delay => {
+                    ComplianceShape::Delay { max_speed: self.max_speed[column] }
                 }
             };
             let value = term.size();

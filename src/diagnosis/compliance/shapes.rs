@@ -1,4 +1,4 @@
-//! Joint compliance: backlash, sag or eccentricity of one joint.
+//! Joint compliance: backlash, sag, eccentricity or late positions of one joint.
 
 use super::gravity::{GravityTorques, TorqueBuffers};
 use crate::ScalarChange;
@@ -14,8 +14,8 @@ pub(super) const USUAL_COMPLIANCE_RAD: f64 = 2.1e-3;
 pub struct JointCompliance {
     /// Joint's column.
     pub column: usize,
-    /// In rad: full backlash (negative if the link leads its encoder), largest sag over the run, or
-    /// eccentricity's amplitude.
+    /// In rad: full backlash (negative if the link leads its encoder), largest sag over the run,
+    /// eccentricity's amplitude, or error of late positions at the highest speed.
     pub value: Measured,
     /// Profile over the motion.
     pub shape: ComplianceShape,
@@ -36,6 +36,11 @@ pub enum ComplianceShape {
         order: u32,
         /// Phase.
         phase_rad: f64,
+    },
+    /// Proportional to the joint's speed: its positions are late.
+    Delay {
+        /// Highest over the run, rad/s.
+        max_speed: f64,
     },
 }
 
@@ -90,6 +95,14 @@ impl JointCompliance {
         matches!(self.shape, ComplianceShape::Sag(_))
     }
 
+    /// Latency of the joint's positions relative to the other joints', s.
+    pub fn delay_s(&self) -> Option<Measured> {
+        match self.shape {
+            ComplianceShape::Delay { max_speed } => Some(self.value.scaled(1.0 / max_speed)),
+            _ => None,
+        }
+    }
+
     /// Above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
         matches!(self.shape, ComplianceShape::Eccentric { .. })
@@ -139,6 +152,18 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointComp
                     let (sin, cos) = (order * q(row) + phase_rad).sin_cos();
                     joints.q[at] += amount * sin;
                     joints.qd[at] *= 1.0 + amount * order * cos;
+                }
+            }
+            ComplianceShape::Delay { max_speed } => {
+                let delay_s = amount / max_speed;
+                let late = joints.clone();
+                let [mut later, mut speeds] = [&late.q, &late.qd].map(|all| all[..dof].to_vec());
+                let mut cursor = 0;
+                for row in 0..joints.len() {
+                    let at = row * dof + column;
+                    // Beyond the ends, the first or last positions stay.
+                    late.at(late.t_s[row] + delay_s, &mut cursor, &mut later, &mut speeds);
+                    (joints.q[at], joints.qd[at]) = (later[column], speeds[column]);
                 }
             }
         }

@@ -12,6 +12,7 @@ pub(super) enum ComplianceKind {
     /// Changes at this time, s (load change).
     LoadedSag(f64),
     Eccentric(u32),
+    Delay,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +33,7 @@ impl ComplianceTerm {
     /// Number of coefficients.
     pub fn width(&self) -> usize {
         match self.kind {
-            ComplianceKind::Backlash(_) | ComplianceKind::Sag => 1,
+            ComplianceKind::Backlash(_) | ComplianceKind::Sag | ComplianceKind::Delay => 1,
             ComplianceKind::LoadedSag(_) | ComplianceKind::Eccentric(_) => 2,
         }
     }
@@ -49,7 +50,8 @@ impl ComplianceTerm {
 
     pub fn is_significant(&self) -> bool {
         let size = self.size();
-        let is_plausible = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
+        let is_signed = matches!(self.kind, ComplianceKind::Backlash(_) | ComplianceKind::Delay);
+        let is_plausible = size > 0.0 || is_signed;
         is_plausible
             && size.abs() > MIN_STD_ERRORS * self.std_error
             && size.abs() < MAX_COMPLIANCE_RAD
