@@ -12,7 +12,7 @@ use jiff::civil::{Date, Time};
 use super::text_rows::{self, RowFormat, TextRows};
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, file_names,
-    text_encoding, vector_cells,
+    labelled_lines, text_encoding, vector_cells,
 };
 use crate::rtde;
 
@@ -91,10 +91,7 @@ pub(crate) fn is_list_of_pairs(bytes: &[u8]) -> bool {
 
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
-    let text = text_encoding::to_utf8(bytes);
-    detect_layout(&text).is_some()
-        || detect_layout(&with_single_numbers(bytes)).is_some()
-        || rows_of_times(&text).is_some()
+    to_rows(bytes).is_some() || rows_of_times(&text_encoding::to_utf8(bytes)).is_some()
 }
 
 /// A text table with times is a log rather than a calibration table.
@@ -104,8 +101,18 @@ pub(crate) fn has_time(bytes: &[u8]) -> bool {
 
 /// Names of the columns of a table with times.
 pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
-    let names = detect_layout(&with_single_numbers(bytes))?.names?;
+    let names = to_rows(bytes)?.1.names?;
     names.iter().any(|name| clock::is_time(name)).then_some(names)
+}
+
+/// The text in UTF-8 with a cell for each number of a row, and the layout of its rows.
+fn to_rows(bytes: &[u8]) -> Option<(Cow<'_, [u8]>, TextLayout)> {
+    if let Some((text, layout)) = labelled_lines::to_table(&text_encoding::to_utf8(bytes)) {
+        return Some((Cow::Owned(text), layout));
+    }
+    let text = with_single_numbers(bytes);
+    let layout = detect_layout(&text)?;
+    Some((text, layout))
 }
 
 /// The text in UTF-8, with a cell for each number of a list.
@@ -171,6 +178,12 @@ fn detect_delimiter(row: &[u8]) -> (u8, usize) {
     let all = [b';', b'\t', b',', b' '].map(|delimiter| (delimiter, count(delimiter)));
     // On a tie, the first one wins.
     all.into_iter().rev().max_by_key(|(_, count)| *count).unwrap_or((b',', 0))
+}
+
+/// Whether a text is the name of a unit.
+pub(super) fn is_unit(text: &[u8]) -> bool {
+    let unit = String::from_utf8_lossy(text).to_lowercase();
+    unit.starts_with(|c: char| c.is_alphabetic() || c == '°') && UNIT_NAMES.contains(&&*unit)
 }
 
 fn is_number(cell: &[u8], delimiter: u8) -> bool {
@@ -339,10 +352,10 @@ fn with_headings(names: Vec<String>, headings: Option<&[String]>) -> Vec<String>
 }
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
-    let text = with_single_numbers(bytes);
-    let table = match detect_layout(&text) {
-        Some(layout) => read_rows(&text, layout, context)?,
+    let table = match to_rows(bytes) {
+        Some((text, layout)) => read_rows(&text, layout, context)?,
         None => {
+            let text = text_encoding::to_utf8(bytes);
             let (delimiter, rows) = rows_of_times(&text).ok_or("it contains no rows of numbers")?;
             read_transposed(delimiter, &rows, context)?
         }

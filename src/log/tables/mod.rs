@@ -10,6 +10,7 @@ mod configurations;
 mod csv;
 mod file_names;
 mod hdf5;
+mod labelled_lines;
 mod lerobot;
 mod matlab;
 mod meaning;
