@@ -223,7 +223,7 @@ fn report_group(
 
 fn describe_delay(of: &CommandDelay, response: &Response) -> String {
     let delay = &response.delay_s;
-    let shown = Unit::Second.show_measured(&Measured { value: delay.value.abs(), ..*delay });
+    let shown = Unit::Second.show_measured(&delay.abs());
     if delay.value < 0.0 {
         return format!("state leads its command by {shown}");
     }

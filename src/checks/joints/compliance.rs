@@ -3,7 +3,7 @@
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::{Case, Rule, SubjectResult, changes};
-use crate::diagnosis::{JointCompliance, Measured};
+use crate::diagnosis::JointCompliance;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
@@ -63,7 +63,7 @@ impl ComplianceRule {
         if let Some((outcome @ Outcome::Evaluated(Ruling::Fail(_)), estimate)) = change {
             return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
         }
-        let size = Measured { value: compliance.value.value.abs(), ..compliance.value };
+        let size = compliance.value.abs();
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, compliance, severity));
         SubjectResult::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(

@@ -1,7 +1,7 @@
 use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::{JointCompliance, Measured};
+use crate::diagnosis::JointCompliance;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 }
 
 fn fault(arm: &ArmEvidence, compliance: &JointCompliance, severity: Severity) -> Fault {
-    let size = Measured { value: compliance.value.value.abs(), ..compliance.value };
+    let size = compliance.value.abs();
     let leads = compliance.value.value < 0.0;
     let (effect_m, moved) = tip_effect(arm, compliance.column, size.value);
     let how = match leads {

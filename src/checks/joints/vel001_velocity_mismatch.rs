@@ -344,8 +344,7 @@ fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (Stri
 
 fn describe_response(response: &Response) -> String {
     let delay = &response.delay_s;
-    let size = crate::diagnosis::Measured { value: delay.value.abs(), ..*delay };
-    let shown = Unit::Second.show_measured(&size);
+    let shown = Unit::Second.show_measured(&delay.abs());
     match (response.corner_hz(), delay.value < 0.0) {
         (Some(hz), _) => {
             format!("velocities are low-pass filtered at {} Hz ({shown} late)", show_factor(hz))

@@ -178,12 +178,14 @@ fn judge_joint_topic(
         Decision::Fail(severity) => {
             let (effect, effect_m) = effect(arm, latency);
             let side = if latency.value > 0.0 { "late" } else { "early" };
-            let size = Measured { value: latency.value.abs(), ..*latency };
             Outcome::fail(Fault {
                 severity,
                 cause: Cause::Latency(*latency),
                 title: "joint states of one topic are not simultaneous with the others",
-                message: format!("{} {side} against {other}", THRESHOLD.unit.show_measured(&size)),
+                message: format!(
+                    "{} {side} against {other}",
+                    THRESHOLD.unit.show_measured(&latency.abs())
+                ),
                 evidence: Evidence { effect, effect_m, ..Evidence::default() },
                 fix: format!(
                     "stamp all joints when the encoders are read, or shift {} by {}",
@@ -253,12 +255,11 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Subject
     let Decision::Fail(_) = decide(latency, &thresholds, case.evidence.subjects()) else {
         return None;
     };
-    let size = Measured { value: latency.value.abs(), ..*latency };
     let side = if latency.value > 0.0 { "late" } else { "early" };
     let why = format!(
         "{} {side} against {}; without joint states of a known model nothing shows which of the two is off: \
          record them, or name the arm with --robot",
-        THRESHOLD.unit.show_measured(&size),
+        THRESHOLD.unit.show_measured(&latency.abs()),
         target.hand,
     );
     let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
@@ -436,15 +437,14 @@ fn judge_stream(
 }
 
 fn message(arm: &ArmEvidence, latency: &Measured) -> String {
-    let size = Measured { value: latency.value.abs(), ..*latency };
     let side = if latency.value > 0.0 { "late" } else { "early" };
-    format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
+    format!("{} {side} against {}", THRESHOLD.unit.show_measured(&latency.abs()), arm.joints_topic)
 }
 
 /// For a latency that is the median of skewed delays.
 fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     let mean = |delays: &DelayJitter| {
-        let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
+        let mean = delays.mean_s.abs();
         let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
         format!(" (median; delays are skewed, mean {} {side})", THRESHOLD.unit.show_measured(&mean))
     };

@@ -27,6 +27,11 @@ impl Measured {
         [self.value - half, self.value + half]
     }
 
+    /// The same with its magnitude.
+    pub fn abs(&self) -> Self {
+        Self { value: self.value.abs(), ..*self }
+    }
+
     /// Multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_error: self.std_error * factor.abs(), ..*self }
