@@ -171,32 +171,22 @@ fn judge_joint_topic(
     other: &str,
 ) -> SubjectResult {
     let latency = &late.value;
-    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
-    let outcome = match decide(latency, &threshold, case.evidence.subjects()) {
-        Decision::Pass => Outcome::pass(),
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => {
-            let (effect, effect_m) = effect(arm, latency);
-            let side = if latency.value > 0.0 { "late" } else { "early" };
-            Outcome::fail(Fault {
-                severity,
-                cause: Cause::Latency(*latency),
-                title: "joint states of one topic are not simultaneous with the others",
-                message: format!(
-                    "{} {side} against {other}",
-                    THRESHOLD.unit.show_measured(&latency.abs())
-                ),
-                evidence: Evidence { effect, effect_m, ..Evidence::default() },
-                fix: format!(
-                    "stamp all joints when the encoders are read, or shift {} by {}",
-                    late.topic(),
-                    shift(latency)
-                ),
-            })
+    let outcome = decide_latency(case, latency).into_outcome(SETTLE, |severity| {
+        let (effect, effect_m) = effect(arm, latency);
+        Fault {
+            severity,
+            cause: Cause::Latency(*latency),
+            title: "joint states of one topic are not simultaneous with the others",
+            message: message(latency, other),
+            evidence: Evidence { effect, effect_m, ..Evidence::default() },
+            fix: format!(
+                "stamp all joints when the encoders are read, or shift {} by {}",
+                late.topic(),
+                shift(latency)
+            ),
         }
-    };
-    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
-    late.judged(outcome).within(late.span).estimated(estimate)
+    });
+    late.judged(outcome).estimated(as_estimate(latency))
 }
 
 /// Latency of one joint's positions against the other joints.
@@ -228,46 +218,29 @@ fn judge_transforms(
     LateTransforms { topic, frame, latency_s: latency }: &LateTransforms,
     span: Option<Span>,
 ) -> SubjectResult {
-    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
-    let outcome = match decide(latency, &threshold, case.evidence.subjects()) {
-        Decision::Pass => Outcome::pass(),
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => Outcome::fail(Fault {
-            severity,
-            cause: Cause::Stamps,
-            title: if latency.value > 0.0 { "transforms are late" } else { "transforms are early" },
-            message: format!("the transforms of {frame} are {}", message(arm, latency)),
-            evidence: Evidence::default(),
-            fix: format!(
-                "stamp them when {frame} is measured, or shift them by {}",
-                shift(latency)
-            ),
-        }),
-    };
-    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
-    SubjectResult::new(arm.frame(topic, frame), outcome).within(span).estimated(estimate)
+    let outcome = decide_latency(case, latency).into_outcome(SETTLE, |severity| Fault {
+        severity,
+        cause: Cause::Stamps,
+        title: if latency.value > 0.0 { "transforms are late" } else { "transforms are early" },
+        message: format!("the transforms of {frame} are {}", message(latency, &arm.joints_topic)),
+        evidence: Evidence::default(),
+        fix: format!("stamp them when {frame} is measured, or shift them by {}", shift(latency)),
+    });
+    let judged = SubjectResult::new(arm.frame(topic, frame), outcome).within(span);
+    judged.estimated(as_estimate(latency))
 }
 
 /// Latency of a target relative to a hand without joint states; which of the two is off is undetermined.
 fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<SubjectResult> {
     let latency = target.diagnosis.latency_s.as_ref().ok().filter(|_| !target.hand_is_of_joints)?;
-    let thresholds = case.thresholds.threshold(&LAT001, THRESHOLD);
-    let Decision::Fail(_) = decide(latency, &thresholds, case.evidence.subjects()) else {
-        return None;
-    };
-    let side = if latency.value > 0.0 { "late" } else { "early" };
+    let Decision::Fail(_) = decide_latency(case, latency) else { return None };
     let why = format!(
-        "{} {side} against {}; without joint states of a known model nothing shows which of the two is off: \
-         record them, or name the arm with --robot",
-        THRESHOLD.unit.show_measured(&latency.abs()),
-        target.hand,
+        "{}; without joint states of a known model nothing shows which of the two is off: record them, or name the \
+         arm with --robot",
+        message(latency, &target.hand),
     );
-    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
-    Some(
-        SubjectResult::new(target.subject(), Outcome::Inconclusive(why))
-            .within(target.span)
-            .estimated(estimate),
-    )
+    let judged = SubjectResult::new(target.subject(), Outcome::Inconclusive(why));
+    Some(judged.within(target.span).estimated(as_estimate(latency)))
 }
 
 /// Latency of the joint states, if two or more independent streams are early by it and none disagrees. Common
@@ -277,7 +250,7 @@ fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -
     let (mut latencies, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.has_independent_stamps) {
         let Some(latency) = estimate(stream) else { continue };
-        match decide(latency, &threshold, case.evidence.subjects()) {
+        match decide_latency(case, latency) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 latencies.push(*latency);
                 // One program stamps a topic, so its transforms count as one stream.
@@ -335,7 +308,7 @@ fn late_joint_states(
             .unwrap_or(Severity::Warning),
         cause: Cause::Latency(*lateness),
         title: arm.arm_or_body("joint states are late", "stream is late"),
-        message: format!("{} late against {topics}", THRESHOLD.unit.show_measured(lateness)),
+        message: message(lateness, &topics),
         evidence: Evidence {
             indistinguishable: alternatives.collect(),
             effect,
@@ -354,7 +327,7 @@ fn late_joint_states(
     };
     SubjectResult::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
         .within(arm.span)
-        .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
+        .estimated(as_estimate(lateness))
 }
 
 /// As `/a and /b`, or `/a, /b and 5 more topics`.
@@ -376,7 +349,6 @@ fn judge_with_late_joints(
         Ok(_) if stream.has_independent_stamps => Outcome::pass_with_remark(remark),
         _ => return judge_stream(case, arm, stream, &[]),
     };
-    let as_estimate = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);
     stream.judged(outcome).estimated(estimate(stream).map(as_estimate))
 }
 
@@ -390,43 +362,32 @@ fn judge_stream(
         Ok(latency) => latency,
         Err(why) => return stream.judged(not_observable(why, SETTLE)),
     };
-    let outcome = match decide(
-        latency,
-        &case.thresholds.threshold(&LAT001, THRESHOLD),
-        case.evidence.subjects(),
-    ) {
-        Decision::Pass => Outcome::pass(),
-        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => {
-            let has_other_stream = streams.iter().any(|other| {
-                other.has_independent_stamps
-                    && other.topic() != stream.topic()
-                    && other.latency.is_ok()
-            });
-            let mut indistinguishable = Vec::new();
-            if stream.has_independent_stamps && !has_other_stream {
-                let joints = arm.topic(&arm.joints_topic);
-                indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
-            }
-            let (effect, effect_m) = effect(arm, latency);
-            Outcome::fail(Fault {
-                severity,
-                cause: Cause::Latency(*latency),
-                title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
-                message: message(arm, latency)
-                    + &tick_suffix(case, arm, stream, latency)
-                    + &mean_suffix(stream),
-                evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
-                fix: format!(
-                    "stamp at acquisition, not at publishing; or shift {} by {}",
-                    stream.topic(),
-                    shift(latency)
-                ),
-            })
+    let outcome = decide_latency(case, latency).into_outcome(SETTLE, |severity| {
+        let has_other_stream = streams.iter().any(|other| {
+            other.has_independent_stamps && other.topic() != stream.topic() && other.latency.is_ok()
+        });
+        let mut indistinguishable = Vec::new();
+        if stream.has_independent_stamps && !has_other_stream {
+            let joints = arm.topic(&arm.joints_topic);
+            indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
         }
-    };
-    let judged = stream.judged(outcome);
-    let judged = judged.estimated(Estimate::scalar("latency", THRESHOLD.unit, latency));
+        let (effect, effect_m) = effect(arm, latency);
+        Fault {
+            severity,
+            cause: Cause::Latency(*latency),
+            title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
+            message: message(latency, &arm.joints_topic)
+                + &tick_suffix(case, arm, stream, latency)
+                + &mean_suffix(stream),
+            evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
+            fix: format!(
+                "stamp at acquisition, not at publishing; or shift {} by {}",
+                stream.topic(),
+                shift(latency)
+            ),
+        }
+    });
+    let judged = stream.judged(outcome).estimated(as_estimate(latency));
     match stream.delays {
         Some(delays) => judged.with_evidence(
             "delays",
@@ -436,9 +397,18 @@ fn judge_stream(
     }
 }
 
-fn message(arm: &ArmEvidence, latency: &Measured) -> String {
+fn decide_latency(case: &Case, latency: &Measured) -> Decision {
+    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
+    decide(latency, &threshold, case.evidence.subjects())
+}
+
+fn as_estimate(latency: &Measured) -> Estimate {
+    Estimate::scalar("latency", THRESHOLD.unit, latency)
+}
+
+fn message(latency: &Measured, other: &str) -> String {
     let side = if latency.value > 0.0 { "late" } else { "early" };
-    format!("{} {side} against {}", THRESHOLD.unit.show_measured(&latency.abs()), arm.joints_topic)
+    format!("{} {side} against {other}", THRESHOLD.unit.show_measured(&latency.abs()))
 }
 
 /// For a latency that is the median of skewed delays.
@@ -496,8 +466,7 @@ fn effect(arm: &ArmEvidence, latency: &Measured) -> (Option<String>, Option<f64>
 }
 
 fn alternative(subject: Subject, latency: &Measured) -> Alternative {
-    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
-    Alternative { code: LAT001.code, subject, estimate: Some(estimate) }
+    Alternative { code: LAT001.code, subject, estimate: Some(as_estimate(latency)) }
 }
 
 #[cfg(test)]
