@@ -126,11 +126,9 @@ fn judge(
 ) -> SubjectResult {
     let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
     let size = |rest: &RestError| relative_error(rest, &thresholds);
-    let judged =
-        |outcome| SubjectResult::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
-        Err(outcome) => return judged(outcome),
+        Err(outcome) => return reference.judged(outcome),
     };
     let with_commands = |judged: SubjectResult| {
         judged
@@ -142,10 +140,10 @@ fn judge(
         .filter_map(|source| RestErrors::from_source(case, found, source))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.rest).total_cmp(&size(b.rest))) else {
-        return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
+        return with_commands(reference.judged(Outcome::Inconclusive(not_reached(found))));
     };
     if arm.is_unit_undetermined() {
-        return with_commands(judged(Outcome::Inconclusive(format!(
+        return with_commands(reference.judged(Outcome::Inconclusive(format!(
             "{}{UNIT_UNDETERMINED}",
             joint_error_as_logged(arm, nearest.rest)
         ))));
@@ -174,7 +172,7 @@ fn judge(
         &nearest.estimate.translation_m,
         &nearest.estimate.rotation_rad,
     );
-    let judged = with_commands(judged(outcome))
+    let judged = with_commands(reference.judged(outcome))
         .estimated(estimate)
         .with_evidence("measured_by", name)
         .with_evidence("others", others)

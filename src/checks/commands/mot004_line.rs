@@ -99,11 +99,9 @@ fn judge(
     reference: &StreamEvidence<ReferenceEvidence>,
 ) -> SubjectResult {
     let thresholds = &case.thresholds.frame_thresholds(&MOT004, THRESHOLDS);
-    let judged =
-        |outcome| SubjectResult::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
-        Err(outcome) => return judged(outcome),
+        Err(outcome) => return reference.judged(outcome),
     };
     let lines = &found.lines;
     let commanded = lines.iter().max_by(|a, b| a.command_rad.total_cmp(&b.command_rad));
@@ -112,7 +110,7 @@ fn judge(
             true => "line accuracy: no commanded path in this log is straight",
             false => "line accuracy: the commands in this log are goals, not a streamed path",
         };
-        return judged(Outcome::Skipped(why.to_owned()));
+        return reference.judged(Outcome::Skipped(why.to_owned()));
     };
     let worst_lines = (0..reference.tip_poses.len())
         .filter_map(|source| Some((source, worst_line(lines, source, thresholds)?)));
@@ -153,7 +151,8 @@ fn judge(
         None => unknown,
     };
     let measured_by: Value = worst.map(|(source, _)| source_name(reference, source)).into();
-    judged(outcome)
+    reference
+        .judged(outcome)
         .estimated(Estimate::frame("line deviation", &distance, &angle))
         .with_evidence("lines", lines.len())
         .with_evidence("at_ns", case.evidence.origin.shifted(line.from_s).to_string())

@@ -74,21 +74,18 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     let judged = streams.map(|(arm, stream)| {
         let diagnosis = &stream.diagnosis;
         let subject = arm.frame(stream.topic(), &stream.tip);
+        let judged = |outcome| SubjectResult::new(subject, outcome).within(stream.span);
         let found = match Disagreement::estimate(case, diagnosis) {
             Ok(found) => found,
-            Err(why) => {
-                return SubjectResult::new(subject, not_observable(why, SETTLE))
-                    .within(stream.span);
-            }
+            Err(why) => return judged(not_observable(why, SETTLE)),
         };
         if let (Decision::Fail(_), Some(what)) = (&found.decision, misread(arm)) {
             let why = format!("computed from the joint states, whose {what}");
-            return SubjectResult::new(subject, Outcome::Inconclusive(why)).within(stream.span);
+            return judged(Outcome::Inconclusive(why));
         }
         let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
         let before = diagnosis.residual.as_ref().ok().map(|residual| residual.before_m);
-        SubjectResult::new(subject, outcome(found, stream.is_uncorrected))
-            .within(stream.span)
+        judged(outcome(found, stream.is_uncorrected))
             .estimated(estimate)
             .with_evidence("before_m", before)
     });

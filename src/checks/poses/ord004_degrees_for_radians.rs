@@ -91,7 +91,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
 fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.conventions.degrees else {
         let turns = imu.proof.as_ref()?.gyro.is_some();
-        return turns.then(|| imu.judged(Outcome::pass()).within(imu.span));
+        return turns.then(|| imu.judged(Outcome::pass()));
     };
     let [before, after] = [as_logged, corrected].map(|residual| Unit::GyroRate.show(residual));
     let topic = imu.topic();
@@ -110,7 +110,7 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
         fix: format!("publish {topic} in rad/s: np.deg2rad(angular_velocity)"),
     };
     let [is, read_as] = [AngleUnit::Degree, AngleUnit::Radian].map(|unit| unit.symbol());
-    let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
+    let judged = imu.judged(Outcome::fail(fault));
     let judged = judged.estimated(Estimate::misinterpretation("angle unit", is, read_as));
     Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }

@@ -82,7 +82,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
-        return feels.then(|| imu.judged(Outcome::pass()).within(imu.span));
+        return feels.then(|| imu.judged(Outcome::pass()));
     };
     let (topic, symbol) = (imu.topic(), unit.symbol());
     let size = rounded(felt, 2);
@@ -97,7 +97,7 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResul
         evidence: Evidence::default(),
         fix: format!("multiply the linear acceleration of {topic} by {}", unit.in_m_s2()),
     };
-    let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
+    let judged = imu.judged(Outcome::fail(fault));
     let judged = judged.estimated(Estimate::misinterpretation("acceleration unit", symbol, "m/s²"));
     Some(judged.with_evidence("felt", felt))
 }

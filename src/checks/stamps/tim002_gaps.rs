@@ -110,8 +110,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let bounds = gap_bounds(rhythm);
         if let Some(first) = reported.get(&bounds).filter(|_| !bounds.is_empty()) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
-            return SubjectResult::new(rhythm.subject.clone(), Outcome::pass_with_remark(why))
-                .within(rhythm.span);
+            return rhythm.judged(Outcome::pass_with_remark(why));
         }
         reported.insert(bounds, rhythm);
         judge(case, rhythm)

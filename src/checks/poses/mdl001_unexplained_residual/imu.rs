@@ -31,9 +31,7 @@ pub fn judge(
     let deviations = deviations(thresholds, imu);
     match (found.is_empty(), deviations) {
         (false, Outcome::Evaluated(_)) => found,
-        (_, deviations) => {
-            found.into_iter().chain([imu.judged(deviations).within(imu.span)]).collect()
-        }
+        (_, deviations) => found.into_iter().chain([imu.judged(deviations)]).collect(),
     }
 }
 
@@ -112,7 +110,6 @@ fn saturates(
     };
     let unit = Unit::GyroRate.symbol();
     imu.judged(Outcome::fail(fault))
-        .within(imu.span)
         .estimated(Estimate::exact("gyro saturation", unit, *limit_rad_s))
         .with_evidence("axes", names)
         .with_evidence("share", *share)
@@ -135,7 +132,7 @@ fn gain(
     }
     let outcome = decision.into_outcome(SETTLE, |severity| reads(imu, &found, worst, severity));
     let shown = |one: &Measured| json!({"value": one.value, "ci95": one.interval(0.95)});
-    let judged = imu.judged(outcome).within(imu.span);
+    let judged = imu.judged(outcome);
     let judged = judged.estimated(Estimate::scalar("gyro gain", GAIN.unit, worst));
     Some(judged.with_evidence("scale", scale.iter().map(shown).collect::<Vec<_>>()))
 }
