@@ -78,6 +78,15 @@ pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: u
 }
 
 impl Decision {
+    /// Decision on two amounts; both must pass.
+    pub fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
+            (fail @ Decision::Fail(_), _) | (_, fail @ Decision::Fail(_)) => fail,
+            (undecided @ Decision::Undecided(_), _) | (_, undecided) => undecided,
+        }
+    }
+
     /// `settle` names the motion or topic that would resolve an undecided case.
     pub fn into_outcome(self, settle: &str, fault: impl FnOnce(Severity) -> Fault) -> Outcome {
         match self {
@@ -126,12 +135,7 @@ pub fn decide_both(
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Decision {
-    let by_length = decide(length, &thresholds.length, subjects);
-    match (by_length, decide(angle, &thresholds.angle, subjects)) {
-        (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
-        (fail @ Decision::Fail(_), _) | (_, fail @ Decision::Fail(_)) => fail,
-        (undecided @ Decision::Undecided(_), _) | (_, undecided) => undecided,
-    }
+    decide(length, &thresholds.length, subjects).and(decide(angle, &thresholds.angle, subjects))
 }
 
 fn undecided_reason(measured: &Measured, threshold: &Threshold) -> String {

@@ -168,15 +168,10 @@ fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
     let (thresholds, subjects) =
         (case.thresholds.frame_thresholds(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
     let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
-    let angle = match is_command_deviating(line, &thresholds) {
+    by_length.and(match is_command_deviating(line, &thresholds) {
         true => Decision::Pass,
         false => decide_length(&measured.angle_rad, &thresholds.angle, subjects),
-    };
-    match (by_length, angle) {
-        (Decision::Fail(a), Decision::Fail(b)) => Decision::Fail(a.max(b)),
-        (fail @ Decision::Fail(_), _) | (_, fail @ Decision::Fail(_)) => fail,
-        (undecided @ Decision::Undecided(_), _) | (_, undecided) => undecided,
-    }
+    })
 }
 
 /// Outcome at the tip if the command is a slerp.
