@@ -228,7 +228,7 @@ fn judge(
     attributed: &AttributedStream,
     all: &[AttributedStream],
 ) -> SubjectResult {
-    let AttributedStream { stream, subject, attribution, .. } = attributed;
+    let AttributedStream { stream, subject, .. } = attributed;
     let proof = match &stream.proof {
         Ok(proof) => proof,
         Err(why) => {
@@ -236,13 +236,9 @@ fn judge(
                 .within(stream.span);
         }
     };
-    let error = match attribution {
-        Some(
-            Attribution::Unexplained(residual)
-            | Attribution::UnreadOrientations(residual)
-            | Attribution::Undetermined(residual, _),
-        ) => &residual.error,
-        _ => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
+    let error = match attributed.residual() {
+        Some(residual) => &residual.error,
+        None => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
     };
     let angle = error.angle.as_ref().map(|angle| excess_rms(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
@@ -318,23 +314,20 @@ fn outcome(
 ) -> Outcome {
     let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
     let settle = settle(&attributed.subject);
-    let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
+    if attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest) {
+        return Outcome::Inconclusive(match attributed.residual() {
+            Some(residual) => format!(
+                "off by {} at rest; one configuration cannot show why; {settle}",
+                sizes(&residual.error)
+            ),
+            None => format!(
+                "there is hardly any motion, and agreement in one configuration proves little; {settle}"
+            ),
+        });
+    }
     let as_logged =
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match attribution {
-        Attribution::Unexplained(residual)
-        | Attribution::UnreadOrientations(residual)
-        | Attribution::Undetermined(residual, _)
-            if at_rest =>
-        {
-            let error_text = sizes(&residual.error);
-            Outcome::Inconclusive(format!(
-                "off by {error_text} at rest; one configuration cannot show why; {settle}"
-            ))
-        }
-        _ if at_rest => Outcome::Inconclusive(format!(
-            "there is hardly any motion, and agreement in one configuration proves little; {settle}"
-        )),
         Attribution::BelowThresholds if attributed.stream.is_uncorrected => {
             Outcome::pass_with_remark(AS_RECORDED)
         }
@@ -599,17 +592,13 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
     // Meaningless as logged if the reference frame is not fixed to the robot.
     let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&residual.error);
     let candidates = candidates(stream);
-    let said = describe_disagreement(error);
+    let said = format!("{}, and no known cause explains it", describe_disagreement(error));
     let nearest = match candidates.first() {
         Some(first) => format!("; closest explanation: {first}"),
         None => String::new(),
     };
     let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let said = format!("{said}, and no known cause explains it");
     let message = format!("{said}{nearest}");
-    let fix = format!(
-        "check that the description and the joint states belong to this arm; {SETTLE_DISAGREEMENT}"
-    );
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
@@ -617,13 +606,13 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
         title: DISAGREEMENT_TITLE,
         message,
         evidence,
-        fix,
+        fix: "check that the description and the joint states belong to this arm; record 10 s in which the joints move \
+            by 30° one at a time"
+            .to_owned(),
     }
 }
 
 const DISAGREEMENT_TITLE: &str = "poses and joint states disagree";
-
-const SETTLE_DISAGREEMENT: &str = "record 10 s in which the joints move by 30° one at a time";
 
 fn describe_disagreement(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
