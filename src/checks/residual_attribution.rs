@@ -7,7 +7,7 @@ use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, SubjectResult, find};
 use crate::diagnosis::{
     ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, JointCompliance,
-    NotObservable, PartError, PoseDiagnosis, ResidualCheck, StreamResidual,
+    JointDiagnosis, NotObservable, PartError, PoseDiagnosis, ResidualCheck, StreamResidual,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
@@ -459,37 +459,23 @@ impl InconclusiveCauses {
         .into_iter()
         .flatten()
         .collect();
-        let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
-        let zeros = offsets.filter(|(_, offset)| offset.is_chosen).map(|(joint, _)| &joint.name);
-        let changed: Vec<&String> = arm
-            .diagnosis
-            .changes
-            .iter()
-            .filter_map(|change| Some(&arm.joints.get(change.column)?.name))
-            .collect();
-        let compliances = arm.diagnosis.compliance.iter();
-        let compliant_joints =
-            compliances.filter_map(|compliance| Some(&arm.joints.get(compliance.column)?.name));
-        let unit_errors = arm.diagnosis.encoding.iter().flat_map(|encoding| &encoding.unit_errors);
-        let rescaled_joints =
-            unit_errors.filter_map(|unit_error| Some(&arm.joints.get(unit_error.column)?.name));
-        let of_joints = outcomes
+        let on_joint = |column: usize, codes: &'static [&'static str]| {
+            let joint = arm.joints.get(column).into_iter();
+            joint.flat_map(move |joint| outcomes.on(arm, &joint.name, codes))
+        };
+        let JointDiagnosis { offsets, changes, compliance, encoding, .. } = &arm.diagnosis;
+        let zeros = offsets.iter().enumerate().filter(|(_, offset)| offset.is_chosen);
+        let unit_errors = encoding.iter().flat_map(|encoding| &encoding.unit_errors);
+        let of_joints: Vec<_> = outcomes
             .on(arm, stream.topic(), &times)
             .chain(outcomes.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
-            .chain(zeros.flat_map(|joint| outcomes.on(arm, joint, &["ZER001"])))
+            .chain(zeros.flat_map(|(column, _)| on_joint(column, &["ZER001"])))
+            .chain(changes.iter().flat_map(|one| on_joint(one.column, &["ORD009", "ZER001"])))
+            .chain(compliance.iter().flat_map(|one| on_joint(one.column, &["MOT006", "ZER003"])))
             .chain(
-                changed
-                    .into_iter()
-                    .flat_map(|joint| outcomes.on(arm, joint, &["ORD009", "ZER001"])),
+                unit_errors.flat_map(|one| on_joint(one.column, &["ORD004", "ORD008", "ORD009"])),
             )
-            .chain(
-                compliant_joints.flat_map(|joint| outcomes.on(arm, joint, &["MOT006", "ZER003"])),
-            )
-            .chain(
-                rescaled_joints
-                    .flat_map(|joint| outcomes.on(arm, joint, &["ORD004", "ORD008", "ORD009"])),
-            );
-        let of_joints: Vec<_> = of_joints.collect();
+            .collect();
         let of_poses: Vec<_> = outcomes.on(arm, stream.topic(), &poses).collect();
         let is_reported = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
         let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
