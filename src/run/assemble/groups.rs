@@ -38,7 +38,7 @@ pub(super) fn group_joint_topics<'a>(
                 let names = [&topics[other], &topics[index]].map(name);
                 relation(&topics[other], &topics[index], are_siblings(&names[0], &names[1]))
             });
-            known.fold(Relation::Unrelated, Relation::and)
+            known.max().unwrap_or(Relation::Unrelated)
         };
         let relations: Vec<Relation> = groups.iter().map(kin).collect();
         let is = |wanted: Relation| relations.iter().position(|found| *found == wanted);
@@ -83,21 +83,12 @@ fn are_siblings(a: &str, b: &str) -> bool {
     !a.starts_with(&b) && !b.starts_with(&a)
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// From the weakest evidence to the strongest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Relation {
     Unrelated,
     SameArm,
     DifferentArms,
-}
-
-impl Relation {
-    fn and(self, other: Self) -> Self {
-        match (self, other) {
-            (Self::DifferentArms, _) | (_, Self::DifferentArms) => Self::DifferentArms,
-            (Self::SameArm, _) | (_, Self::SameArm) => Self::SameArm,
-            _ => Self::Unrelated,
-        }
-    }
 }
 
 /// One joint in two topics, at some stamps of the second; the first is interpolated.
