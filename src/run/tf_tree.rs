@@ -341,24 +341,26 @@ impl TfPath<'_> {
         Ok(target_from_here)
     }
 
+    /// `target_from_source` at each stamp with a value.
+    pub(super) fn poses_at(&self, stamps: &[Stamp]) -> Vec<(Stamp, Pose)> {
+        stamps.iter().filter_map(|&stamp| Some((stamp, self.pose_at(stamp).ok()?))).collect()
+    }
+
     /// Time range of dynamic transforms; `None` without any.
     pub fn span(&self) -> Option<(Stamp, Stamp)> {
-        let dynamic = || self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
-        let first = dynamic().filter_map(|edge| edge.stamps.first()).max()?;
-        let last = dynamic().filter_map(|edge| edge.stamps.last()).min()?;
+        let first = self.dynamic_edges().filter_map(|edge| edge.stamps.first()).max()?;
+        let last = self.dynamic_edges().filter_map(|edge| edge.stamps.last()).min()?;
         Some((*first, *last))
     }
 
     /// Whether each dynamic transform has a sample at `at`.
     pub fn is_sampled(&self, at: Stamp) -> bool {
-        let mut dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
-        dynamic.all(|edge| edge.stamps.binary_search(&at).is_ok())
+        self.dynamic_edges().all(|edge| edge.stamps.binary_search(&at).is_ok())
     }
 
     /// Oldest of the dynamic transforms' latest samples up to `at`.
     pub fn newest_before(&self, at: Stamp) -> Option<Stamp> {
-        let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
-        let newest = dynamic.filter_map(|edge| {
+        let newest = self.dynamic_edges().filter_map(|edge| {
             let behind = edge.stamps.partition_point(|&stamp| stamp <= at);
             edge.stamps.get(behind.checked_sub(1)?).copied()
         });
@@ -370,9 +372,14 @@ impl TfPath<'_> {
         self.steps.iter().map(|step| step.edge)
     }
 
+    /// Dynamic edges from target to source.
+    pub fn dynamic_edges(&self) -> impl Iterator<Item = &Edge> {
+        self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic)
+    }
+
     /// Sorted distinct stamps of dynamic transforms.
     pub fn stamps(&self) -> Vec<Stamp> {
-        let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
+        let dynamic = self.dynamic_edges();
         let mut stamps: Vec<Stamp> = dynamic.flat_map(|edge| edge.stamps.iter().copied()).collect();
         // A stable sort is fast on sorted runs.
         stamps.sort();

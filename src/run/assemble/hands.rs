@@ -1,8 +1,6 @@
 //! Camera targets, and hands that may carry camera or target.
 
-use crate::geometry::Pose;
 use crate::stream::{Columns, Orientations, PoseTrack};
-use crate::time::Stamp;
 
 use super::super::poses;
 use super::super::role::{Role, may_have_role};
@@ -88,10 +86,7 @@ impl Assembly<'_> {
         });
         let by_transforms = targets::hand_frame(&self.tf, camera).and_then(|(base, hand)| {
             let path = self.tf.find_path(&base, &hand, |_| true)?;
-            let stamps = path.stamps().into_iter();
-            let samples: Vec<(Stamp, Pose)> =
-                stamps.filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?))).collect();
-            let track = poses::from_samples(samples, self.origin).track;
+            let track = poses::from_samples(path.poses_at(&path.stamps()), self.origin).track;
             let (hand_from_camera, base_from_camera) = (tied(&hand), tied(&base));
             let kind = HandKind::Transforms { base, frame: hand, track };
             Some(HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s: 0.0 })

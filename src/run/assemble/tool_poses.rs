@@ -517,10 +517,7 @@ impl Assembly<'_> {
         let path = arm.tree.find_path(&arm.frame_of(arm.base), frame, is_free)?;
         let mut stamps = path.stamps();
         poses::thin(&mut stamps);
-        let samples: Vec<(Stamp, Pose)> = stamps
-            .into_iter()
-            .filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?)))
-            .collect();
+        let samples = path.poses_at(&stamps);
         (samples.len() > 1).then_some(samples)
     }
 

@@ -121,11 +121,8 @@ impl Assembly<'_> {
             edge.kind != EdgeKind::Dynamic || crosses(edge).is_some_and(|joints| joints.len() < 2)
         };
         let path = arm.tree.path(&base, &tip, is_of_the_model)?;
-        let crossed: Vec<String> = path
-            .edges()
-            .filter(|edge| edge.kind == EdgeKind::Dynamic)
-            .flat_map(|edge| crosses(edge).unwrap_or_default())
-            .collect();
+        let crossed: Vec<String> =
+            path.dynamic_edges().flat_map(|edge| crosses(edge).unwrap_or_default()).collect();
         let uncrossed: Vec<String> = arm
             .chain
             .joint_names()
@@ -138,9 +135,7 @@ impl Assembly<'_> {
         }
         let mut stamps = path.stamps();
         poses::thin(&mut stamps);
-        let stamps = stamps.into_iter();
-        let samples: Vec<(Stamp, Pose)> =
-            stamps.filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?))).collect();
+        let samples = path.poses_at(&stamps);
         if samples.len() < 2 {
             return Err(TfUnavailable::NoSamples);
         }
@@ -148,7 +143,7 @@ impl Assembly<'_> {
             let (parent, child) = arm.tree.names(edge);
             (parent.to_owned(), child.to_owned())
         });
-        let moving = path.edges().find(|edge| edge.kind == EdgeKind::Dynamic);
+        let moving = path.dynamic_edges().next();
         let (stream, piece) =
             moving.and_then(|edge| self.piece_of(arm, edge)).unwrap_or((first, 0));
         let StampedTrack { track, stamps } = poses::from_samples(samples, self.origin);
