@@ -6,7 +6,7 @@ use crate::stream::PoseTrack;
 
 use super::arm::Arm;
 use super::role::{CAMERA_WORDS, DETECTION_WORDS, FrameKind, find_word, split_words};
-use super::tf_tree::{EdgeKind, TfTree};
+use super::tf_tree::{Edge, EdgeKind, TfTree};
 
 /// Axis convention of a camera frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,22 +129,14 @@ pub(super) fn camera_axes(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
 /// Base and hand frame without an arm: the moving frame with the camera, else the one moved by the most
 /// dynamic transforms. Ignores detections.
 pub(super) fn hand_frame(tf: &TfTree, camera: &str) -> Option<(String, String)> {
-    let moved_by = |frame: &str| {
-        let edges = tf.edges_above(frame);
-        edges
-            .iter()
-            .filter(|edge| {
-                let (parent, child) = tf.names(edge);
-                edge.kind == EdgeKind::Dynamic && !is_detection(parent, child)
-            })
-            .count()
+    let moves = |edge: &Edge| {
+        let (parent, child) = tf.names(edge);
+        edge.kind == EdgeKind::Dynamic && !is_detection(parent, child)
     };
-    let is_moved = |frame: &str| {
-        tf.edges().iter().any(|edge| {
-            let (parent, child) = tf.names(edge);
-            edge.kind == EdgeKind::Dynamic && child == frame && !is_detection(parent, child)
-        })
-    };
+    let moved_by =
+        |frame: &str| tf.edges_above(frame).into_iter().filter(|edge| moves(edge)).count();
+    let is_moved =
+        |frame: &str| tf.edges().iter().any(|edge| moves(edge) && tf.names(edge).1 == frame);
     let carrier = tf.nearest_fixed(camera, is_moved).map(|(frame, _)| frame);
     let farthest = || {
         let frames = tf.frames().filter(|frame| is_moved(frame));
