@@ -249,14 +249,19 @@ fn cycles(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
 }
 
 fn static_that_moves(piece: &TransformPart<'_>) -> Option<TfProblem> {
-    let poses = piece.poses;
-    let distance =
-        (1..poses.times.len()).map(|row| PoseDistance::between((poses, 0), (poses, row)));
-    let by = distance.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
-    (by.size_m() > MAX_ROUNDING_M).then(|| TfProblem {
+    let by = largest_distance(piece, piece)?;
+    Some(TfProblem {
         kind: TfProblemKind::StaticMoves { edge: piece.frame_pair(), by },
         topics: vec![piece.topic.to_owned()],
     })
+}
+
+/// Largest distance of a pose from the first of `fixed`; `None` within rounding.
+fn largest_distance(fixed: &TransformPart<'_>, piece: &TransformPart<'_>) -> Option<PoseDistance> {
+    let rows = 0..piece.poses.times.len();
+    rows.map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)))
+        .max_by(|a, b| a.size_m().total_cmp(&b.size_m()))
+        .filter(|by| by.size_m() > MAX_ROUNDING_M)
 }
 
 fn conflicts(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
@@ -278,9 +283,8 @@ fn conflicts(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
 
 fn conflict_with_static(fixed: &TransformPart<'_>, piece: &TransformPart<'_>) -> Option<TfProblem> {
     let rows = piece.poses.times.len();
-    let distance = (0..rows).map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)));
-    let by = distance.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
-    (by.size_m() > MAX_ROUNDING_M).then(|| TfProblem {
+    let by = largest_distance(fixed, piece)?;
+    Some(TfProblem {
         kind: TfProblemKind::Conflict { edge: piece.frame_pair(), by, jumps: rows, rows },
         topics: topic_names([fixed, piece].into_iter()),
     })
