@@ -36,7 +36,7 @@ use super::{Run, RunOptions};
 use super::{given_calibrations, models};
 
 use arms::{RobotInfo, joint_topics};
-use assembly::{Assembly, is_topic};
+use assembly::Assembly;
 use transforms::tf_tree;
 
 pub use references::{ReferenceContent, ReferenceSource};
@@ -77,7 +77,7 @@ impl Run {
             // A topic that only the config expects is a finding, not an error.
             let by_config = options.topics.iter().any(|info| info.is_of(&declared.topic));
             let has_columns =
-                |stream: &Stream| is_topic(stream, &declared.topic) && stream.columns.is_some();
+                |stream: &Stream| declared.is_of(&stream.topic) && stream.columns.is_some();
             if !by_config || streams.iter().any(has_columns) {
                 check_topic(declared, &streams)?;
             }
@@ -201,7 +201,7 @@ fn append_column_reasons(streams: &mut [Stream]) {
 fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunError> {
     let is_pose =
         |stream: &&Stream| matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_)));
-    let of_topic = || streams.iter().filter(|stream| is_topic(stream, &declared.topic));
+    let of_topic = || streams.iter().filter(|stream| declared.is_of(&stream.topic));
     let what = match (of_topic().count(), of_topic().any(|stream| is_pose(&stream))) {
         (0, _) => "the log has no such topic",
         (_, false) => "the topic has no poses",

@@ -29,7 +29,3 @@ pub(super) struct Assembly<'a> {
     pub(super) frozen: Vec<FrozenSpan>,
     pub(super) searched_for_frozen: Vec<usize>,
 }
-
-pub(super) fn is_topic(stream: &Stream, topic: &str) -> bool {
-    stream.topic.trim_start_matches('/') == topic.trim_start_matches('/')
-}

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::assembly::{Assembly, is_topic};
+use super::assembly::Assembly;
 use super::groups::JointStateGroup;
 use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, fit_model};
 use crate::robot::catalogue;
@@ -289,9 +289,7 @@ impl PoseRanking<'_> {
         if is_foreign || !matches!(stream.columns, Some(Columns::Poses(_) | Columns::Array(_))) {
             return None;
         }
-        let declared =
-            assembly.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
-        let declared = declared.filter(|declared| declared.fits(stream.columns.as_ref()));
+        let declared = assembly.fitting_declaration(stream);
         let site = assembly.locate_frames(arm, stream);
         let (role, _) = assembly.role_of(stream, Some(&site), declared.is_some());
         if !matches!(role, Role::Pose | Role::Candidate { .. }) || assembly.is_transform(stream) {

@@ -23,7 +23,7 @@ use super::super::sources::{ImuSource, MovingBase, PoseSource};
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{RoleSetting, TopicSettings};
-use super::assembly::{Assembly, is_topic};
+use super::assembly::Assembly;
 use super::declaration_error;
 
 pub(super) struct StreamFrames {
@@ -67,10 +67,15 @@ impl From<String> for SourceError {
 const UNNAMED_FRAME: &str = "unnamed frame";
 
 impl Assembly<'_> {
+    /// Declaration of the stream, if its numbers match.
+    pub(super) fn fitting_declaration(&self, stream: &Stream) -> Option<&Declaration> {
+        let declared = self.options.declared.iter().find(|one| one.is_of(&stream.topic));
+        declared.filter(|declared| declared.fits(stream.columns.as_ref()))
+    }
+
     pub(super) fn assign_pose(&mut self, index: usize) -> Result<(), RunError> {
         let stream = &self.streams[index];
-        let declared =
-            self.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
+        let declared = self.options.declared.iter().find(|one| one.is_of(&stream.topic));
         let unfit = declared.filter(|declared| !declared.fits(stream.columns.as_ref()));
         let declared = declared.filter(|_| unfit.is_none());
         let candidate_arms = self.candidate_arms(stream);

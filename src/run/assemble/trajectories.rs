@@ -17,7 +17,7 @@ use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::stream::{Columns, Orientations, PoseTrack, sample_noise};
 
-use super::assembly::{Assembly, is_topic};
+use super::assembly::Assembly;
 
 /// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
@@ -153,10 +153,7 @@ impl Assembly<'_> {
     fn logged_poses(&self, index: usize) -> Option<StampedTrack<PoseTrack>> {
         let stream = &self.streams[index];
         let rows = self.timing.filtered_rows(&self.streams, index, 0, self.options.max_latency_s);
-        let mut declared = self.options.declared.iter();
-        let declared = declared
-            .find(|declared| is_topic(stream, &declared.topic))
-            .filter(|declared| declared.fits(stream.columns.as_ref()));
+        let declared = self.fitting_declaration(stream);
         poses::from_columns(stream.columns.as_ref(), &rows, declared, self.origin).ok()
     }
 
@@ -209,6 +206,10 @@ impl Assembly<'_> {
         let is_imu = |stream: &Stream| matches!(stream.columns, Some(Columns::Imu(_)));
         other_streams(arm).next().is_some() || self.streams.iter().any(is_imu)
     }
+}
+
+fn is_topic(stream: &Stream, topic: &str) -> bool {
+    stream.topic.trim_start_matches('/') == topic.trim_start_matches('/')
 }
 
 fn other_streams(arm: &Arm) -> impl Iterator<Item = usize> {
