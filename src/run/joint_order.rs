@@ -76,7 +76,7 @@ pub(super) fn match_robot(
             robot: robot.name.clone(),
             source: robot.source.clone(),
             logged: clues.joints.to_vec(),
-            modelled: arm_joints(robot).unwrap_or_else(|| own_names(robot)),
+            modelled: arm_joints(robot).unwrap_or_else(|| skeleton::independent_joint_names(robot)),
             matches: question.unwrap_or_default(),
         }),
     }
@@ -383,13 +383,7 @@ pub(super) fn rename_joints(robot: &Robot, pairs: &[(String, String)]) -> Option
 }
 
 fn arm_joints(robot: &Robot) -> Option<Vec<String>> {
-    let paths = skeleton::find_arm_paths(robot, |_| true);
-    <[_; 1]>::try_from(paths).ok().map(|[path]| path.joints)
-}
-
-fn own_names(robot: &Robot) -> Vec<String> {
-    let own = robot.joints().iter().filter(|joint| skeleton::is_independent(joint));
-    own.map(|joint| joint.name.clone()).collect()
+    skeleton::find_only_arm_path(robot, |_| true).map(|path| path.joints)
 }
 
 /// Series of joints: names that differ only in a number. Otherwise all joints, in the log's order or that

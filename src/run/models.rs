@@ -13,7 +13,7 @@ use super::error::RunError;
 use super::joint_order;
 use super::model::{LogModel, ModelClues};
 use super::namespace::{Namespace, NamespaceMatch};
-use super::skeleton::is_independent;
+use super::skeleton::independent_joint_names;
 use super::{RunOptions, SharedMapping};
 
 /// A robot given by the caller, and its joint name prefix, or a word of its topic.
@@ -271,12 +271,11 @@ fn match_by_prefix(
         models.push(LogModel::new(renamed, found, &names.to_prefix, clues));
     }
     if models.is_empty() {
-        let own = robot.joints().iter().filter(|joint| is_independent(joint));
         return Err(RunError::UnknownJoints {
             robot: robot.name.clone(),
             source: robot.source.clone(),
             logged: clues.joints.to_vec(),
-            modelled: own.map(|joint| joint.name.clone()).collect(),
+            modelled: independent_joint_names(robot),
             matches: Vec::new(),
         });
     }
@@ -327,16 +326,8 @@ fn with_plain_names(renamed: &Robot, robot: &Robot, joints: &[String]) -> Option
 }
 
 fn have_same_joints(a: &LogModel, b: &LogModel) -> bool {
-    let names = |model: &LogModel| -> BTreeSet<String> {
-        model
-            .robot
-            .joints()
-            .iter()
-            .filter(|joint| is_independent(joint))
-            .map(|joint| joint.name.clone())
-            .collect()
-    };
-    names(a) == names(b)
+    let [a, b] = [a, b].map(|model| BTreeSet::from_iter(independent_joint_names(&model.robot)));
+    a == b
 }
 
 #[cfg(test)]

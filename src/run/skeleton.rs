@@ -20,8 +20,14 @@ const GRIPPER_WORDS: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
 const ROTATION_WORDS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
 
 /// Whether a joint has one coordinate and mimics no other.
-pub(super) fn is_independent(joint: &Joint) -> bool {
+fn is_independent(joint: &Joint) -> bool {
     joint.kind.has_position() && joint.mimic.is_none()
+}
+
+/// Names of the independent joints.
+pub(super) fn independent_joint_names(robot: &Robot) -> Vec<String> {
+    let own = robot.joints().iter().filter(|joint| is_independent(joint));
+    own.map(|joint| joint.name.clone()).collect()
 }
 
 /// `joint`, or the one that it mimics.
@@ -56,6 +62,11 @@ pub(super) fn find_arm_paths(robot: &Robot, logged: impl Fn(&str) -> bool) -> Ve
         }
     }
     arms
+}
+
+/// The same, if there is exactly one.
+pub(super) fn find_only_arm_path(robot: &Robot, logged: impl Fn(&str) -> bool) -> Option<ArmPath> {
+    <[_; 1]>::try_from(find_arm_paths(robot, logged)).ok().map(|[path]| path)
 }
 
 struct TreeWalk<'a, F> {

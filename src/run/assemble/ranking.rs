@@ -232,8 +232,7 @@ impl PoseRanking<'_> {
     fn only_path(&self, model: &LogModel) -> Option<skeleton::ArmPath> {
         let is_logged =
             |name: &str| self.group.joints.topics.iter().any(|topic| topic.has_joint(name));
-        let paths = skeleton::find_arm_paths(&model.robot, is_logged);
-        <[_; 1]>::try_from(paths).ok().map(|[path]| path)
+        skeleton::find_only_arm_path(&model.robot, is_logged)
     }
 
     fn build_arm(&self, model: &LogModel) -> Option<Arm> {
