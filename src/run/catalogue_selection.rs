@@ -195,8 +195,7 @@ pub(super) fn models_from_catalogue(
                 other.names.is_complete() && other.names.joints == found[0].names.joints
             })
             .filter(|other| other.names.unknown_prefix_chars == found[0].names.unknown_prefix_chars)
-            .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names.to_prefix)))
-            .map(|(robot, prefix)| LogModel::new(robot, String::new(), prefix, clues))
+            .filter_map(|candidate| LogModel::from_candidate(candidate, String::new(), clues))
             .collect();
         if equals.is_empty() {
             return Ok(models);
@@ -247,7 +246,7 @@ fn model_by_type(
     let named = arm_of_type(robot_type)?;
     let candidate = found.iter().find(|candidate| candidate.robot().name == named.name)?;
     let how = format!("the catalogue, by the robot type '{robot_type}' in the metadata");
-    Some(Some(LogModel::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
+    LogModel::from_candidate(candidate, how, clues).map(Some)
 }
 
 /// Catalogue arm named in the metadata: `so101_follower` is a `so101`.

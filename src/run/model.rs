@@ -40,6 +40,15 @@ pub struct CompetingModel {
 }
 
 impl LogModel {
+    /// Catalogue arm with the log's names; `None` if not unique.
+    pub(super) fn from_candidate(
+        candidate: &catalogue::Candidate,
+        found: String,
+        clues: &ModelClues<'_>,
+    ) -> Option<Self> {
+        Some(Self::new(candidate.renamed()?, found, &candidate.names.to_prefix, clues))
+    }
+
     pub(super) fn new(
         robot: Robot,
         found: String,

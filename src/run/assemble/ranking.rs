@@ -22,10 +22,6 @@ use crate::run::sources::PoseSource;
 use crate::run::tf_tree::TfTree;
 use crate::stream::Columns;
 
-/// Maximum residual of a model that fits, m: a nominal model against a calibrated arm.
-const MAX_RESIDUAL_M: f64 = 3e-3;
-/// The same as a share of the positions' extent, for noisy trackers.
-const MAX_RESIDUAL_SHARE: f64 = 0.01;
 const MAX_STREAMS: usize = 6;
 
 /// Minimum ratio of the named arm's residual to that of another arm.
@@ -121,10 +117,9 @@ impl PoseRanking<'_> {
                 hypothesis,
                 spread_m,
                 logged_residual_m: fit.map_or(f64::INFINITY, |fit| fit.as_is_m),
-                is_fit: hypothesis.residual_m <= MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m),
-                is_fit_without_fault: fit.is_some_and(|fit| {
-                    fit.faultless_residual_m() <= MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m)
-                }),
+                is_fit: hypothesis.residual_m <= max_residual_m(spread_m),
+                is_fit_without_fault: fit
+                    .is_some_and(|fit| fit.faultless_residual_m() <= max_residual_m(spread_m)),
                 is_unbeatable: rank.score
                     <= entries[rank.model].lowest_score() + MIN_SCORE_DIFFERENCE,
                 topic: self.assembly.streams[stream].topic.clone(),
@@ -159,12 +154,10 @@ impl PoseRanking<'_> {
             return None;
         }
         // The other DH convention of the same table is ORD007, not another arm.
-        if let Some(robot) = model.robot.under_other_convention() {
-            let ranking = self.rank(&[&LogModel { robot, ..model.clone() }]);
-            let turned = ranking.as_ref().and_then(|ranking| ranking.models.first());
-            if turned.is_some_and(|it| it.is_fit && it.needs_no_fault()) {
-                return None;
-            }
+        if let Some(robot) = model.robot.under_other_convention()
+            && self.fits_without_fault(&LogModel { robot, ..model.clone() })
+        {
+            return None;
         }
         // Another common joint order is ORD005, not another arm.
         if self.fits_in_another_order(model, &path.joints) {
@@ -175,9 +168,8 @@ impl PoseRanking<'_> {
         let complete = candidates
             .iter()
             .filter(|other| other.names.is_complete() && other.names.joints == path.joints.len());
-        let named = complete
-            .filter_map(|other| Some((other.renamed()?, &other.names.to_prefix)))
-            .map(|(robot, prefix)| LogModel::new(robot, String::new(), prefix, clues));
+        let named =
+            complete.filter_map(|other| LogModel::from_candidate(other, String::new(), clues));
         let candidates = match model.is_matched_by_order {
             true => joint_order::arms_with_joint_count(&path.joints, clues),
             false => named.collect(),
@@ -221,11 +213,13 @@ impl PoseRanking<'_> {
                 ..model.clone()
             })
         });
-        others.into_iter().any(|other| {
-            let ranking = self.rank(&[&other]);
-            let best = ranking.as_ref().and_then(|ranking| ranking.models.first());
-            best.is_some_and(|it| it.is_fit && it.needs_no_fault())
-        })
+        others.into_iter().any(|other| self.fits_without_fault(&other))
+    }
+
+    fn fits_without_fault(&self, model: &LogModel) -> bool {
+        let ranking = self.rank(&[model]);
+        let best = ranking.as_ref().and_then(|ranking| ranking.models.first());
+        best.is_some_and(|it| it.is_fit && it.needs_no_fault())
     }
 
     /// The path through the logged joints, if there is exactly one.
@@ -298,6 +292,15 @@ impl PoseRanking<'_> {
     }
 }
 
+/// Maximum residual of a model that fits, m.
+fn max_residual_m(spread_m: f64) -> f64 {
+    /// Of a nominal model against a calibrated arm, m.
+    const MAX_RESIDUAL_M: f64 = 3e-3;
+    /// As a share of the positions' extent, for noisy trackers.
+    const MAX_RESIDUAL_SHARE: f64 = 0.01;
+    MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m)
+}
+
 /// Per stream, the score above which a model is distinguishable from the best one without a fault.
 fn max_scores(entries: &[FittedModel]) -> HashMap<usize, f64> {
     let mut scores = HashMap::new();
@@ -321,7 +324,7 @@ fn rank_models(entries: &[FittedModel]) -> Vec<ScoredModel> {
                 .iter()
                 .map(|hypothesis| hypothesis.residual_m)
                 .fold(f64::INFINITY, f64::min);
-            least <= MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * fit.spread_m)
+            least <= max_residual_m(fit.spread_m)
         })
     };
     let explained: Vec<usize> = streams.iter().filter(is_explained).copied().collect();
