@@ -79,15 +79,7 @@ impl Stream {
 
     /// Rows without usable numbers; values for joint states.
     pub fn unusable(&self) -> u64 {
-        match &self.columns {
-            Some(Columns::Joints(joints)) => joints.not_finite,
-            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
-                poses.iter().map(|poses| poses.not_finite).sum()
-            }
-            Some(Columns::Imu(imu)) => imu.not_finite,
-            Some(Columns::Array(array)) => array.not_finite,
-            Some(Columns::Text(_)) | None => 0,
-        }
+        self.columns.as_ref().map_or(0, Columns::not_finite)
     }
 
     /// Whether it has positions without rotation: points, or three columns of a table.
@@ -288,13 +280,8 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
         }
         return streams;
     }
-    match role_by_content(&stream.topic, &columns) {
-        Some((role, reason)) => (stream.role, stream.reason) = (role, reason),
-        None => {
-            stream.role = Role::Unassigned;
-            stream.reason = "it matches no arm".to_owned();
-        }
-    }
+    (stream.role, stream.reason) = role_by_content(&stream.topic, &columns)
+        .unwrap_or_else(|| (Role::Unassigned, "it matches no arm".to_owned()));
     stream.frame_id = match &columns {
         Columns::Joints(joints) => strip_slash(&joints.frame_id).to_owned(),
         Columns::Imu(imu) => strip_slash(&imu.frame_id).to_owned(),
@@ -314,15 +301,12 @@ fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
 }
 
 fn dropped_in(columns: &Columns) -> u64 {
-    match columns {
-        Columns::Joints(joints) => joints.wrong_length + joints.not_finite,
-        Columns::Poses(poses) | Columns::Transforms(poses) => {
-            poses.iter().map(|poses| poses.not_finite).sum()
-        }
-        Columns::Imu(imu) => imu.not_finite,
-        Columns::Array(array) => array.wrong_length + array.not_finite,
-        Columns::Text(_) => 0,
-    }
+    let wrong_length = match columns {
+        Columns::Joints(joints) => joints.wrong_length,
+        Columns::Array(array) => array.wrong_length,
+        _ => 0,
+    };
+    wrong_length + columns.not_finite()
 }
 
 pub(super) struct StreamClocks {

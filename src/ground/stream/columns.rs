@@ -152,7 +152,20 @@ impl Columns {
         }
     }
 
-    /// The same, mutable.
+    /// Dropped rows, or positions of joints, that are not [`is_usable`].
+    pub fn not_finite(&self) -> u64 {
+        match self {
+            Columns::Joints(joints) => joints.not_finite,
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                poses.iter().map(|poses| poses.not_finite).sum()
+            }
+            Columns::Imu(imu) => imu.not_finite,
+            Columns::Array(array) => array.not_finite,
+            Columns::Text(_) => 0,
+        }
+    }
+
+    /// The times of [`Columns::times`], mutable.
     pub fn times_mut(&mut self) -> Vec<&mut Times> {
         match self {
             Columns::Joints(joints) => vec![&mut joints.times],
