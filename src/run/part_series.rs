@@ -50,7 +50,18 @@ pub(super) enum PartValues<'a> {
     Array(&'a ArrayColumns),
 }
 
-impl PartValues<'_> {
+impl<'a> PartValues<'a> {
+    /// Values of one part of [`Columns::times`]; `None` for texts.
+    pub fn of(columns: &'a Columns, piece: usize) -> Option<Self> {
+        match columns {
+            Columns::Joints(joints) => Some(Self::Joints(joints)),
+            Columns::Poses(poses) | Columns::Transforms(poses) => poses.get(piece).map(Self::Poses),
+            Columns::Imu(imu) => Some(Self::Imu(imu)),
+            Columns::Array(array) => Some(Self::Array(array)),
+            Columns::Text(_) => None,
+        }
+    }
+
     /// Number of values per row.
     pub fn width(&self) -> usize {
         match self {
@@ -107,26 +118,18 @@ pub(super) fn collect_parts(streams: &[Stream]) -> Vec<Part<'_>> {
         );
         let Some(columns) = held.columns.as_ref().filter(|_| is_used) else { continue };
         let is_table = held.is_from_table || held.read_as.is_some();
-        let mut add = |piece, frame, times, values| {
+        if let Columns::Joints(joints) = columns
+            && joints.joints.iter().any(|joint| joint.position.iter().any(|q| !q.is_finite()))
+        {
+            continue;
+        }
+        for (piece, times) in columns.times().into_iter().enumerate() {
+            let Some(values) = PartValues::of(columns, piece) else { continue };
+            let frame = match columns {
+                Columns::Transforms(poses) => Some(strip_slash(&poses[piece].child_frame_id)),
+                _ => None,
+            };
             found.push(Part { stream, piece, frame, is_table, times, values });
-        };
-        match columns {
-            Columns::Joints(joints) => {
-                let is_known = |q: &f64| q.is_finite();
-                if joints.joints.iter().all(|joint| joint.position.iter().all(is_known)) {
-                    add(0, None, &joints.times, PartValues::Joints(joints));
-                }
-            }
-            Columns::Poses(poses) | Columns::Transforms(poses) => {
-                let is_tf = matches!(columns, Columns::Transforms(_));
-                for (piece, poses) in poses.iter().enumerate() {
-                    let child = is_tf.then(|| strip_slash(&poses.child_frame_id));
-                    add(piece, child, &poses.times, PartValues::Poses(poses));
-                }
-            }
-            Columns::Imu(imu) => add(0, None, &imu.times, PartValues::Imu(imu)),
-            Columns::Array(array) => add(0, None, &array.times, PartValues::Array(array)),
-            Columns::Text(_) => {}
         }
     }
     found

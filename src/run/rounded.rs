@@ -42,7 +42,7 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
     for index in 0..streams.len() {
         for (piece, raw) in parts_of_use(&streams[index], clock) {
             let columns = streams[index].columns.as_ref().filter(|_| !known.contains_key(raw));
-            let values = columns.and_then(|columns| values_of(columns, piece));
+            let values = columns.and_then(|columns| PartValues::of(columns, piece));
             let restored = values.and_then(|values| {
                 RestoredStamps::restore(raw, &values).filter(|restored| {
                     restored.is_smoother_than(raw, &values)
@@ -96,14 +96,10 @@ fn parts_of_use(stream: &Stream, clock: Clock) -> Vec<(usize, &[i64])> {
 /// Whether the stamps of a stream are copied from joint states with even stamps, for example from every second one.
 fn are_copies_of_even_joints(raw: &[i64], of: usize, streams: &[Stream], clock: Clock) -> bool {
     streams.iter().enumerate().filter(|(index, _)| *index != of).any(|(_, stream)| {
-        let Some(columns @ Columns::Joints(joints)) = &stream.columns else { return false };
+        let Some(Columns::Joints(joints)) = &stream.columns else { return false };
         let own = joints.times.nanos_on(clock_of_rows(&joints.times, clock));
         let copies = raw.iter().filter(|nanos| own.binary_search(nanos).is_ok()).count();
-        let is_rounded = || {
-            let restored =
-                values_of(columns, 0).map(|values| RestoredStamps::restore(own, &values));
-            restored.flatten().is_some()
-        };
+        let is_rounded = || RestoredStamps::restore(own, &PartValues::Joints(joints)).is_some();
         10 * copies >= 9 * raw.len() && !is_rounded()
     })
 }
@@ -112,18 +108,6 @@ fn are_copies_of_even_joints(raw: &[i64], of: usize, streams: &[Stream], clock: 
 fn clock_of_rows(times: &Times, clock: Clock) -> Clock {
     let has_stamps = times.header.iter().any(|nanos| *nanos != 0);
     if clock == Clock::Header && !has_stamps { Clock::Log } else { clock }
-}
-
-fn values_of(columns: &Columns, piece: usize) -> Option<PartValues<'_>> {
-    match columns {
-        Columns::Joints(joints) => Some(PartValues::Joints(joints)),
-        Columns::Poses(poses) | Columns::Transforms(poses) => {
-            poses.get(piece).map(PartValues::Poses)
-        }
-        Columns::Imu(imu) => Some(PartValues::Imu(imu)),
-        Columns::Array(array) => Some(PartValues::Array(array)),
-        Columns::Text(_) => None,
-    }
 }
 
 #[derive(Clone)]
