@@ -100,8 +100,11 @@ fn times_of(topic: &Topic) -> Vec<&Times> {
 
 /// Whether stamps decrease in receive order, without sorting.
 fn may_restart(times: &Times) -> bool {
-    let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > MIN_RESTART_NS;
-    times.header.windows(2).any(step_back) || !times.log.is_sorted()
+    times.header.windows(2).any(|pair| steps_back(pair[0], pair[1])) || !times.log.is_sorted()
+}
+
+fn steps_back(before_ns: i64, after_ns: i64) -> bool {
+    before_ns.saturating_sub(after_ns) > MIN_RESTART_NS
 }
 
 /// Whether a topic's data is valid only at its time.
@@ -133,8 +136,7 @@ impl<'a> OrderedPart<'a> {
     fn new(times: &'a Times) -> Self {
         let mut order: Vec<usize> = (0..times.len()).collect();
         // Files are nearly in receive order. Keep theirs if the recorder's clock restarted.
-        let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > MIN_RESTART_NS;
-        if !times.log.windows(2).any(steps_back) {
+        if !times.log.windows(2).any(|pair| steps_back(pair[0], pair[1])) {
             order.sort_by_key(|&row| times.log[row]);
         }
         let stamped: Vec<(usize, i64)> = order
@@ -143,8 +145,7 @@ impl<'a> OrderedPart<'a> {
             .map(|(at, &row)| (at, times.header[row]))
             .filter(|(_, stamp)| *stamp != 0)
             .collect();
-        let restarts =
-            stamped.windows(2).filter(|pair| pair[0].1.saturating_sub(pair[1].1) > MIN_RESTART_NS);
+        let restarts = stamped.windows(2).filter(|pair| steps_back(pair[0].1, pair[1].1));
         let restarts = restarts.map(|pair| pair[1].0).collect();
         Self { times, order, restarts }
     }
@@ -177,16 +178,11 @@ impl<'a> OrderedPart<'a> {
             (Some(first), Some(last)) => (first, last),
             _ => return true,
         };
-        let is_over = last
-            <= restart
-                .last_before_ns
-                .max(restart.first_after_ns)
-                .saturating_add(MAX_RESTART_SPREAD_NS);
-        let is_later = first
-            >= restart
-                .last_before_ns
-                .min(restart.first_after_ns)
-                .saturating_sub(MAX_RESTART_SPREAD_NS);
+        let ClockRestart { last_before_ns, first_after_ns } = *restart;
+        let is_over =
+            last <= last_before_ns.max(first_after_ns).saturating_add(MAX_RESTART_SPREAD_NS);
+        let is_later =
+            first >= last_before_ns.min(first_after_ns).saturating_sub(MAX_RESTART_SPREAD_NS);
         self.matching_restart(restart).is_some() || is_over || is_later
     }
 
@@ -209,10 +205,14 @@ impl<'a> OrderedPart<'a> {
     }
 
     fn rows(&self, cuts: &[usize], segment: usize) -> Vec<usize> {
-        let (from, to) = self.bounds(cuts, segment);
-        let mut rows = self.order.get(from..to).unwrap_or_default().to_vec();
+        let mut rows = self.rows_in_order(cuts, segment).to_vec();
         rows.sort_unstable();
         rows
+    }
+
+    fn rows_in_order(&self, cuts: &[usize], segment: usize) -> &[usize] {
+        let (from, to) = self.bounds(cuts, segment);
+        self.order.get(from..to).unwrap_or_default()
     }
 
     fn bounds(&self, cuts: &[usize], segment: usize) -> (usize, usize) {
@@ -221,8 +221,7 @@ impl<'a> OrderedPart<'a> {
     }
 
     fn seconds(&self, cuts: &[usize], segment: usize) -> f64 {
-        let (from, to) = self.bounds(cuts, segment);
-        let rows = self.order.get(from..to).unwrap_or_default();
+        let rows = self.rows_in_order(cuts, segment);
         let stamps = || rows.iter().map(|&row| Stamp::from_nanos(self.times.header[row]));
         match (stamps().min(), stamps().max()) {
             (Some(first), Some(last)) => last.seconds_since(first),
@@ -249,17 +248,13 @@ fn segment_of_topic(topic: &Topic, restarts: &[ClockRestart], segment: usize) ->
     let bounds: Vec<(usize, usize)> =
         pieces.iter().zip(&cuts).map(|(piece, cuts)| piece.bounds(cuts, segment)).collect();
     let all: usize = pieces.iter().map(|piece| piece.order.len()).sum();
-    let messages_until = |rows: usize| match all {
-        0 => topic.messages,
-        all => (topic.messages as f64 * rows as f64 / all as f64).round() as u64,
-    };
     let messages = match all {
         0 if segment > 0 => 0,
         0 => topic.messages,
         _ => {
-            let [from, to] =
-                [bounds.iter().map(|it| it.0).sum(), bounds.iter().map(|it| it.1).sum()];
-            messages_until(to) - messages_until(from)
+            let until =
+                |rows: usize| (topic.messages as f64 * rows as f64 / all as f64).round() as u64;
+            until(bounds.iter().map(|it| it.1).sum()) - until(bounds.iter().map(|it| it.0).sum())
         }
     };
     let mut columns = topic.columns.clone();
