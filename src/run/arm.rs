@@ -259,14 +259,12 @@ impl Arm {
 
     /// The same arm on `robot`, which has the same links with other lengths. `None` if a chain fails.
     pub(crate) fn with_robot(&self, robot: Robot) -> Option<Self> {
-        let chain = |old: &Chain| {
-            robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
-        };
         let pose_source = |source: &PoseSource| {
-            Some(PoseSource { chain: chain(&source.chain)?, ..source.clone() })
+            Some(PoseSource { chain: same_chain(&robot, &source.chain)?, ..source.clone() })
         };
-        let imu_source =
-            |source: &ImuSource| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() });
+        let imu_source = |source: &ImuSource| {
+            Some(ImuSource { chain: same_chain(&robot, &source.chain)?, ..source.clone() })
+        };
         let tf = match &self.tf {
             // Transforms from the old model have the wrong lengths.
             Ok(_) if !self.from_model.is_empty() => Err(TfUnavailable::OtherModel),
@@ -274,7 +272,7 @@ impl Arm {
             Err(why) => Err(why.clone()),
         };
         Some(Self {
-            chain: chain(&self.chain)?,
+            chain: same_chain(&robot, &self.chain)?,
             poses: self.poses.iter().map(pose_source).collect::<Option<_>>()?,
             imus: self.imus.iter().map(imu_source).collect::<Option<_>>()?,
             tf,
@@ -434,6 +432,11 @@ fn default_base(model: &LogModel, path: &ArmPath) -> LinkId {
     let is_reachable = skeleton::moving_joints_above(robot, path.base).all(known)
         && skeleton::moving_joints_above(robot, wanted).all(known);
     if is_reachable { wanted } else { path.base }
+}
+
+/// The chain between the same links of another robot.
+pub(super) fn same_chain(robot: &Robot, old: &Chain) -> Option<Chain> {
+    robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
 }
 
 fn joint_columns(joint_names: &[String], chain: &Chain) -> Option<Vec<usize>> {

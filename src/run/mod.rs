@@ -248,11 +248,9 @@ impl Run {
     pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
         for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
             let HandKind::Joints { arm: hand_arm, chain, .. } = &mut hand.kind else { continue };
-            let robot = &arm.robot;
-            let link = |name: &str| robot.link(name);
-            let ends = link(chain.base_name()).zip(link(chain.tip_name()));
-            let new_chain = ends.and_then(|(base, tip)| robot.chain(base, tip).ok());
-            if let (true, Some(new_chain)) = (*hand_arm == index, new_chain) {
+            if *hand_arm == index
+                && let Some(new_chain) = arm::same_chain(&arm.robot, chain)
+            {
                 *chain = new_chain;
             }
         }
