@@ -277,17 +277,15 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
         let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
             is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
         });
-        if is_of_own_frame && is_seen {
-            let reason = "it moves like a fixed object seen from the tool".to_owned();
-            run.clear_role(candidate, reason);
-            continue;
-        }
         // A tracker's pose moves like that if it is inverted.
         let is_tracker = names_tracker(&run.streams[candidate]);
         let is_target = role_outside_arm(&run.streams[candidate].topic) == Role::Target;
-        if is_seen && is_target && !is_tracker {
+        if is_seen && (is_of_own_frame || is_target && !is_tracker) {
             let reason = "it moves like a fixed object seen from the tool".to_owned();
-            run.assign_role_by_name(candidate, reason);
+            match is_of_own_frame {
+                true => run.clear_role(candidate, reason),
+                false => run.assign_role_by_name(candidate, reason),
+            }
             continue;
         }
         let lead_s = found
