@@ -144,7 +144,7 @@ fn norm_defect(square: f64) -> f64 {
 }
 
 fn matrix_defects(array: &ArrayColumns) -> Option<Defect<'_>> {
-    let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten()?;
+    let layout = MatrixOrder::detect(array)?;
     Some(Box::new(move |row| orthonormality(layout.split(array.row(row)).1)))
 }
 

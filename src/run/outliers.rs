@@ -182,7 +182,7 @@ fn pose_outliers(
 
 /// Outliers of unnamed positions; angles may jump by a turn.
 fn array_outliers(stream: usize, array: &ArrayColumns, at: StampOfRow) -> Option<Outliers> {
-    let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten();
+    let layout = MatrixOrder::detect(array);
     let xyz = |row: usize| match layout {
         Some(layout) => layout.split(array.row(row)).0,
         None => [0, 1, 2].map(|axis| array.row(row)[axis]),

@@ -201,12 +201,15 @@ pub(super) enum MatrixOrder {
 }
 
 impl MatrixOrder {
-    /// The order with the most valid poses: by 0 0 0 1 for 16 numbers, orthonormality for 12.
+    /// The order with the most valid poses: by 0 0 0 1 for 16 numbers, orthonormality for 12. `None` for other widths.
     pub(super) fn detect(array: &ArrayColumns) -> Option<Self> {
+        if ![12, 16].contains(&array.width) {
+            return None;
+        }
         let rows = array.times.len();
         [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
             let fits = (0..rows).filter(|&row| layout.fits(array.row(row))).count();
-            rows > 0 && 2 * fits > rows
+            2 * fits > rows
         })
     }
 
