@@ -186,11 +186,10 @@ impl Run {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let source = &mut poses[source];
         let found = source.frozen_at_lags(joints, lags_s);
-        let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
         self.frozen.extend(found.iter().map(|&(first, last, joint_motion)| FrozenSpan {
             stream: source.stream,
-            start: stamp(source.track.t_s[first]),
-            end: stamp(source.track.t_s[last]),
+            start: self.origin.shifted(source.track.t_s[first]),
+            end: self.origin.shifted(source.track.t_s[last]),
             samples: last + 1 - first,
             is_whole_stream: false,
             joint_motion: Some(joint_motion),

@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use crate::stream::{Columns, Times};
-use crate::time::{Clock, NANOS_PER_SECOND};
+use crate::time::{self, Clock};
 
 use super::part_series::PartValues;
 use super::role::Role;
@@ -181,7 +181,7 @@ impl RestoredStamps {
         };
         let mut last = i64::MIN;
         let nanos = restored_s.iter().map(|at_s| {
-            last = (first + (at_s * NANOS_PER_SECOND as f64).round() as i64).max(last + 1);
+            last = (first + time::nanos(*at_s)).max(last + 1);
             last
         });
         let nanos = nanos.collect();
@@ -191,7 +191,7 @@ impl RestoredStamps {
 
 /// From `first`, s.
 fn seconds_from(nanos: &[i64], first: i64) -> Vec<f64> {
-    nanos.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect()
+    nanos.iter().map(|nanos| time::seconds(nanos - first)).collect()
 }
 
 /// Whether each row but the first has the values of the previous one.

@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use crate::stats::median;
 use crate::stream::{JointColumn, sample_noise};
 
 use super::frozen::FrozenSpan;
@@ -126,8 +127,7 @@ fn usual_step(q: &[f64], noise: f64) -> f64 {
     let least = (6.0 * noise).max(1e-6);
     let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
     let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
-    let middle = steps.len() / 2;
-    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    median(&mut steps).unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -8,7 +8,6 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::stream::{Columns, JointTrack, PoseTrack};
-use crate::time::Stamp;
 
 use super::Run;
 use super::frozen::{
@@ -20,10 +19,7 @@ impl Run {
     /// Removes the joint states of an arm after the first of these rows, which are stale.
     pub(super) fn remove_stale_end(&mut self, arm: usize, rows: Range<usize>) {
         let found = &mut self.arms[arm];
-        let stamp = |row: usize| {
-            let since_origin = (1e9 * found.joints.t_s[row]).round() as i64;
-            Stamp::from_nanos(self.origin.nanos() + since_origin)
-        };
+        let stamp = |row: usize| self.origin.shifted(found.joints.t_s[row]);
         let (start, end) = (stamp(rows.start), stamp(rows.end - 1));
         for track in std::iter::once(&mut found.joints).chain(&mut found.recorded_joints) {
             Arc::make_mut(track).truncate(rows.start + 1);

@@ -8,7 +8,7 @@ use crate::geometry::Vec3;
 use crate::log::{Log, Note, Topic};
 use crate::robot::{Chain, Robot, catalogue};
 use crate::stream::{Columns, JointColumns, JointTrack, Orientations, PoseTrack, Times};
-use crate::time::{NANOS_PER_SECOND, Stamp, seconds};
+use crate::time::{Stamp, nanos, seconds};
 
 use super::columns::arm_chains;
 use super::error::RunError;
@@ -199,8 +199,7 @@ fn group_offset(
     if peaks.iter().any(is_rival) {
         return Err(refuse("the motion repeats, so several offsets fit"));
     }
-    let lag = (top.lag_s * NANOS_PER_SECOND as f64).round() as i64;
-    Ok((pose, joint_origin.saturating_sub(origin).saturating_sub(lag)))
+    Ok((pose, joint_origin.saturating_sub(origin).saturating_sub(nanos(top.lag_s))))
 }
 
 /// Columns of the chain's joints, by name, or in order if the names are generated.

@@ -1,6 +1,6 @@
 //! Detects stamps that are multiples of a tick, such as 15.6 ms on some Windows machines.
 
-use crate::time::NANOS_PER_SECOND;
+use crate::time::{NANOS_PER_SECOND, seconds};
 
 /// Minimum tick, s.
 const MIN_TICK_S: f64 = 2e-3;
@@ -119,7 +119,7 @@ pub(super) fn rounding_tick_s(raw: &[i64], min_s: f64) -> f64 {
             }
         }
     }
-    if tick < shortest { tick as f64 / NANOS_PER_SECOND as f64 } else { 0.0 }
+    if tick < shortest { seconds(tick) } else { 0.0 }
 }
 
 fn greatest_common_divisor(mut a: i64, mut b: i64) -> i64 {

@@ -7,7 +7,7 @@ use crate::log::{TableCell, Topic};
 use crate::run::joint_order::TABLE;
 use crate::run::role::{Role, role_by_content, role_by_name, role_outside_arm};
 use crate::stream::{Columns, Times};
-use crate::time::NANOS_PER_SECOND;
+use crate::time::seconds;
 
 /// Meaning of a number by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,8 +132,7 @@ fn from_complete_rows(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize
         }
     }
     let origin = rows.first().copied().unwrap_or_default();
-    let second = NANOS_PER_SECOND as f64;
-    let t_s = whole.iter().map(|&row| (rows[row] - origin) as f64 / second).collect();
+    let t_s = whole.iter().map(|&row| seconds(rows[row] - origin)).collect();
     for values in &mut columns {
         *values = whole.iter().map(|&row| values[row]).collect();
     }
