@@ -1,7 +1,6 @@
 //! Combines joints with the same fault into one finding.
 
 use crate::checks::SubjectResult;
-use crate::evidence::ArmEvidence;
 use crate::finding::Subject;
 
 /// Groups (joint index, fault) pairs of equal fault, in the order of their first member.
@@ -21,31 +20,29 @@ pub fn group_equal<T>(
 }
 
 /// The joint, or the topic if there are several joints.
-pub fn group_subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
-    let topic = arm.topic(topic);
-    match joints {
-        [joint] => Subject { joint: arm.joint(*joint).joint, ..topic },
-        _ => topic,
-    }
+pub fn group_subject(topic: &Subject, names: &[&str], joints: &[usize]) -> Subject {
+    let joint = match joints {
+        [joint] => names.get(*joint).map(|name| (*name).to_owned()),
+        _ => None,
+    };
+    Subject { joint, ..topic.clone() }
 }
 
 /// Number of joints; empty for one joint, which is the subject.
-pub fn group_prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
+pub fn group_prefix(names: &[&str], joints: &[usize]) -> String {
     match joints.len() {
-        1 => String::new(),
-        count if count == arm.joints.len() => "all joints: ".to_owned(),
+        0 | 1 => String::new(),
+        count if count == names.len() => "all joints: ".to_owned(),
         count => format!("{count} joints: "),
     }
 }
 
-pub fn with_joint_names(
-    judged: SubjectResult,
-    arm: &ArmEvidence,
-    joints: &[usize],
-) -> SubjectResult {
-    let name = |joint: &usize| arm.joints.get(*joint).map(|joint| joint.name.clone());
+pub fn with_joint_names(judged: SubjectResult, names: &[&str], joints: &[usize]) -> SubjectResult {
     match joints {
-        [_] => judged,
-        _ => judged.with_evidence("joints", joints.iter().filter_map(name).collect::<Vec<_>>()),
+        [] | [_] => judged,
+        _ => {
+            let own = joints.iter().filter_map(|&joint| names.get(joint).copied());
+            judged.with_evidence("joints", own.collect::<Vec<_>>())
+        }
     }
 }

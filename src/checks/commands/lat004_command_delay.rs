@@ -1,5 +1,5 @@
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
-use crate::checks::joint_groups::group_equal;
+use crate::checks::joint_groups::{group_equal, group_prefix, group_subject, with_joint_names};
 use crate::checks::motion::mot003_limits_exceeded;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{CommandDelay, DelayFailure, Measured, Response};
@@ -76,17 +76,6 @@ struct Commands<'a> {
     joints: Vec<&'a str>,
 }
 
-impl Commands<'_> {
-    /// The joint, or the topic if there are several joints.
-    fn subject_of(&self, joints: &[usize]) -> Subject {
-        let joint = match joints {
-            [joint] => self.joints.get(*joint).map(|name| (*name).to_owned()),
-            _ => None,
-        };
-        Subject { joint, ..self.subject.clone() }
-    }
-}
-
 #[derive(Clone, Copy)]
 struct ExcessiveDelay<'a> {
     of: &'a CommandDelay,
@@ -120,7 +109,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
     for (at, of) in delays.iter().enumerate() {
         let place = of.joint.unwrap_or(at);
         let joints: Vec<usize> = of.joint.into_iter().collect();
-        let subject = commands.subject_of(&joints);
+        let subject = group_subject(commands.subject, &commands.joints, &joints);
         let judged = |outcome| SubjectResult::new(subject.clone(), outcome).within(commands.span);
         let response = match &of.response {
             Ok(response) => response,
@@ -194,12 +183,8 @@ fn report_group(
         *group.iter().max_by(by_delay).unwrap_or(&group[0]);
     let limit = Unit::Second.show(case.thresholds.threshold(&LAT004, THRESHOLD).warning);
     let is_early = response.delay_s.value < 0.0;
-    let subject = commands.subject_of(&joints);
-    let who = match joints.len() {
-        0 | 1 => String::new(),
-        count if count == commands.joints.len() => "all joints: ".to_owned(),
-        count => format!("{count} joints: "),
-    };
+    let subject = group_subject(commands.subject, &commands.joints, &joints);
+    let who = group_prefix(&commands.joints, &joints);
     let fault = Fault {
         severity,
         cause: Cause::Pictured(Picture::Stream),
@@ -215,10 +200,7 @@ fn report_group(
         },
     };
     let judged = SubjectResult::new(subject, Outcome::fail(fault)).within(commands.span);
-    let judged = with_numbers(judged, of, response);
-    let names: Vec<&str> =
-        joints.iter().filter_map(|&joint| commands.joints.get(joint).copied()).collect();
-    if names.len() > 1 { judged.with_evidence("joints", names) } else { judged }
+    with_joint_names(with_numbers(judged, of, response), &commands.joints, &joints)
 }
 
 fn describe_delay(of: &CommandDelay, response: &Response) -> String {

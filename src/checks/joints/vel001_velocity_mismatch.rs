@@ -251,14 +251,12 @@ fn report_group(
     group: &[(usize, (VelocityDiagnosis, Severity))],
 ) -> SubjectResult {
     let joints: Vec<usize> = group.iter().map(|(joint, _)| *joint).collect();
+    let names: Vec<&str> = arm.joints.iter().map(|joint| joint.name.as_str()).collect();
     let by_error = |a: &&(usize, (VelocityDiagnosis, Severity)),
                     b: &&(usize, (VelocityDiagnosis, Severity))| {
         a.1.0.error.value.total_cmp(&b.1.0.error.value)
     };
-    let (worst, (found, severity)) = match group.iter().max_by(by_error) {
-        Some(worst) => worst,
-        None => &group[0],
-    };
+    let (worst, (found, severity)) = group.iter().max_by(by_error).unwrap_or(&group[0]);
     let limit = percent(case.thresholds.threshold(&VEL001, THRESHOLD).warning);
     let rates = rates_of_rows(arm, group);
     let (what, fix) = match rates.map(|rates| rates.map(show_factor)) {
@@ -281,19 +279,19 @@ fn report_group(
         },
         message: format!(
             "{}{what}: error {} of the rate (limit {limit})",
-            group_prefix(arm, &joints),
+            group_prefix(&names, &joints),
             percent(found.error.value),
         ),
         evidence: Evidence::default(),
         fix,
     };
-    let subject = group_subject(arm, &arm.joints_topic, &joints);
+    let subject = group_subject(&arm.topic(&arm.joints_topic), &names, &joints);
     let mut judged = SubjectResult::new(subject, Outcome::fail(fault)).within(arm.span);
     if let Some([own, stamped]) = rates {
         judged =
             judged.with_evidence("rows_per_s", own).with_evidence("stamped_rows_per_s", stamped);
     }
-    with_joint_names(with_numbers(judged, found), arm, &joints)
+    with_joint_names(with_numbers(judged, found), &names, &joints)
 }
 
 /// A clause and the fix.
