@@ -60,7 +60,17 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 /// Reason why joint states cannot be compared with limits or used as motion.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
-    encoding_doubt(arm).map(str::to_owned)
+    let why = match &arm.diagnosis.encoding {
+        Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
+            "joint names or units are wrong; correct them first (ORD004, ORD005)"
+        }
+        Err(NotObservable::NotExcited) => {
+            "poses and joint states disagree for every joint order and unit (MDL001), so order and unit are \
+             undetermined"
+        }
+        _ => return None,
+    };
+    Some(why.to_owned())
 }
 
 /// The same for one joint.
@@ -90,20 +100,6 @@ pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
 /// The unit is inferred only from the size of the positions.
 pub(in crate::checks) const UNIT_UNDETERMINED: &str = "the joint positions are too large for rad, and without \
     poses they may be degrees, ticks or fractions of the range; log the tool pose too";
-
-fn encoding_doubt(arm: &ArmEvidence) -> Option<&'static str> {
-    let why = match &arm.diagnosis.encoding {
-        Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
-            "joint names or units are wrong; correct them first (ORD004, ORD005)"
-        }
-        Err(NotObservable::NotExcited) => {
-            "poses and joint states disagree for every joint order and unit (MDL001), so order and unit are \
-             undetermined"
-        }
-        _ => return None,
-    };
-    Some(why)
-}
 
 struct ExceededLimit<'a> {
     what: &'static str,
