@@ -341,17 +341,19 @@ fn is_constant(
 
 /// Commanded joint with the largest error.
 fn worst_joint(arm: &ArmEvidence, rest: &RestError) -> Option<String> {
-    let (joint, error) =
-        rest.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
+    let (joint, error) = largest_joint_error(rest)?;
     let name = &arm.joints.get(*joint)?.name;
     Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(error)))
 }
 
+fn largest_joint_error(rest: &RestError) -> Option<&(usize, Measured)> {
+    rest.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))
+}
+
 /// Largest joint error in logged units, which were read as degrees.
 fn joint_error_as_logged(arm: &ArmEvidence, rest: &RestError) -> String {
-    let worst = rest.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
-    let joint =
-        worst.and_then(|(joint, error)| Some((arm.joints.get(*joint)?, error.value.to_degrees())));
+    let joint = largest_joint_error(rest)
+        .and_then(|(joint, error)| Some((arm.joints.get(*joint)?, error.value.to_degrees())));
     joint.map_or(String::new(), |(joint, error)| {
         format!("{} stays off its command by {error:.2} in logged units at rest; ", joint.name)
     })
