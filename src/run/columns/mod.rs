@@ -47,14 +47,12 @@ pub(super) fn arm_chains(robot: &Robot) -> Vec<Chain> {
 #[derive(Default)]
 struct IdentifiedColumns {
     arms: Vec<IdentifiedArm>,
-    question: Option<String>,
-    /// The most likely answer to the question, as a layout.
-    proposal: Option<String>,
+    question: Option<ColumnQuestion>,
 }
 
-/// A question about columns, and the most likely answer.
 struct ColumnQuestion {
     text: String,
+    /// The most likely answer, as a layout.
     proposal: Option<String>,
 }
 
@@ -100,13 +98,14 @@ fn identify_unnamed(log: &mut Log, options: &RunOptions) -> Option<SharedColumns
         None => search.identify(log),
     };
     topics::rewrite(log, &search, &identified);
-    if let (Some(what), Some(file)) = (&identified.question, log.files.first()) {
+    log.question = identified.question.as_ref().map(|question| question.text.clone());
+    if let (Some(what), Some(file)) = (&log.question, log.files.first()) {
         log.notes.push(Note { file: file.path.clone(), what: what.clone() });
     }
-    log.question.clone_from(&identified.question);
-    if let (Some(proposal), Some(shape)) = (&identified.proposal, log.tables.get_mut(table)) {
+    let proposal = identified.question.as_ref().and_then(|question| question.proposal.as_ref());
+    if let (Some(proposal), Some(shape)) = (proposal, log.tables.get_mut(table)) {
         shape.layout = Some(proposal.clone());
-        shape.layout_reason.clone_from(&identified.question);
+        shape.layout_reason.clone_from(&log.question);
     }
     Some(SharedColumns::new(names, identified))
 }
@@ -133,13 +132,6 @@ impl std::fmt::Display for Answer {
             Some(layout) => write!(f, "--columns '{layout}'"),
             None => write!(f, "[columns] {}", self.lines),
         }
-    }
-}
-
-impl IdentifiedColumns {
-    fn ask(&mut self, question: ColumnQuestion) {
-        self.question = Some(question.text);
-        self.proposal = question.proposal;
     }
 }
 
@@ -232,7 +224,7 @@ impl<'a> ColumnSearch<'a> {
                 let is_by_chance = !best.is_at_base && best.joints != next_best.joints;
                 let question = is_by_chance.then(other_evidence).flatten();
                 let ambiguity = || self.ambiguity_question(best, next_best, &wanted);
-                identified.ask(question.unwrap_or_else(ambiguity));
+                identified.question = Some(question.unwrap_or_else(ambiguity));
                 break;
             }
             match self.complete_mapping(best, next_best, &mappings, &wanted) {
@@ -241,7 +233,7 @@ impl<'a> ColumnSearch<'a> {
                     identified.arms.push(arm);
                 }
                 Err(question) => {
-                    identified.ask(question);
+                    identified.question = Some(question);
                     break;
                 }
             }
@@ -250,11 +242,8 @@ impl<'a> ColumnSearch<'a> {
             }
         }
         let is_open = identified.arms.is_empty() && identified.question.is_none();
-        if is_open
-            && !are_joints_known
-            && let Some(question) = self.question_by_width(log)
-        {
-            identified.ask(question);
+        if is_open && !are_joints_known {
+            identified.question = self.question_by_width(log);
         }
         identified
     }

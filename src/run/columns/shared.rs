@@ -6,7 +6,9 @@ use crate::finding::Unit;
 use crate::log::{Log, Note};
 use crate::robot::{Robot, catalogue};
 
-use super::{ColumnSearch, IdentifiedArm, IdentifiedColumns, MIN_SPREAD_M, selectors};
+use super::{
+    ColumnQuestion, ColumnSearch, IdentifiedArm, IdentifiedColumns, MIN_SPREAD_M, selectors,
+};
 
 /// Robot and columns shared by a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -50,7 +52,8 @@ impl SharedMapping {
 
 impl SharedColumns {
     pub(super) fn new(numbers: Vec<String>, identified: IdentifiedColumns) -> Self {
-        Self { from: String::new(), numbers, arms: identified.arms, question: identified.question }
+        let question = identified.question.map(|question| question.text);
+        Self { from: String::new(), numbers, arms: identified.arms, question }
     }
 
     /// Whether the columns are fully identified.
@@ -117,11 +120,11 @@ impl ColumnSearch<'_> {
     /// a contradiction.
     pub(super) fn verify_shared(&self, shared: &SharedColumns, log: &mut Log) -> IdentifiedColumns {
         let from = &shared.from;
-        let mut identified =
-            IdentifiedColumns { question: shared.question.clone(), ..IdentifiedColumns::default() };
-        if let Some(question) = &mut identified.question {
-            *question += &format!(" (asked once, for {from})");
-        }
+        let question = shared.question.as_ref().map(|question| ColumnQuestion {
+            text: format!("{question} (asked once, for {from})"),
+            proposal: None,
+        });
+        let mut identified = IdentifiedColumns { question, arms: Vec::new() };
         let mut unfit = None;
         for arm in &shared.arms {
             let found = self
