@@ -221,12 +221,11 @@ impl Intervals<'_> {
         let lower: Vec<bool> = (0..intervals.len()).map(is_lower).collect();
         let mut found = Vec::new();
         let mut at = 0;
-        while at < lower.len() {
-            let length = lower[at..].iter().take_while(|lower| **lower).count();
-            if length > 0 {
-                found.push(self.stretch(at, length));
+        for run in lower.chunk_by(|a, b| a == b) {
+            if run[0] {
+                found.push(self.stretch(at, run.len()));
             }
-            at += length.max(1);
+            at += run.len();
         }
         found
     }
