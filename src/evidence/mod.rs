@@ -164,6 +164,11 @@ impl RunEvidence {
         format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
     }
 
+    /// A time in seconds from the origin, as seconds from the start.
+    pub fn moment_at(&self, at_s: f64) -> String {
+        self.moment(self.origin.shifted(at_s))
+    }
+
     /// Every robot, and the joint states of arms without a model.
     pub fn arms_with_or_without_model(&self) -> impl Iterator<Item = &ArmEvidence> {
         self.robots.iter().chain(&self.unmodelled_arms)

@@ -300,7 +300,7 @@ fn fault(
     let by_joint = worst_joint(arm, nearest.rest)
         .map_or(String::new(), |description| format!(": {description}"));
     let (exceeding, rests) = (nearest.exceeding, rests_of_source.len());
-    let time = case.evidence.moment(case.evidence.origin.shifted(nearest.rest.from_s));
+    let time = case.evidence.moment_at(nearest.rest.from_s);
     let of = if rests == 1 { String::new() } else { format!(", at {exceeding} of {rests} rests") };
     Outcome::fail(Fault {
         cause: Cause::Pictured(Picture::RestError),

@@ -196,7 +196,7 @@ fn tip_outcome(
             message: format!(
                 "the tip is {distance} off the line of {} and {angle} off its slerp, from {} on",
                 Unit::Metre.show(line.length_m),
-                case.evidence.moment(case.evidence.origin.shifted(line.from_s)),
+                case.evidence.moment_at(line.from_s),
             ),
             evidence: Evidence {
                 effect_m: Some(measured.distance_m.norm.value),

@@ -169,7 +169,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let swing = &profile.swing_s;
-    let at = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
+    let at = |at_s: f64| case.evidence.moment_at(at_s);
     let show = |value: f64| THRESHOLD.unit.show(value);
     let from_to = levels_around_change(profile, latency)
         .map(|(from, to, _)| format!(", from {} to {}", show(from), show(to)))

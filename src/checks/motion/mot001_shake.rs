@@ -120,7 +120,7 @@ fn fault(
             THRESHOLD.unit.show(found.rms_m),
             found.from_hz,
             found.frequency_hz,
-            case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
+            case.evidence.moment_at(found.at_s),
         ),
         evidence: Evidence { effect_m: Some(found.rms_m), ..Evidence::default() },
         fix: format!("check servo dead band, loose joints and gains; seen in {}", stream.topic()),

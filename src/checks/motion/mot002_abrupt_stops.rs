@@ -143,7 +143,7 @@ fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault
             message: format!(
                 "{:.0e} {unit} at {}: impossible for an arm; the positions or their stamps are wrong there",
                 found.acceleration,
-                case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
+                case.evidence.moment_at(found.at_s),
             ),
             evidence: Evidence::default(),
             fix:
@@ -159,7 +159,7 @@ fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault
         message: format!(
             "abrupt stop or start: {:.0} {unit} at {}, over {} (limit {limit} {unit})",
             found.acceleration,
-            case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
+            case.evidence.moment_at(found.at_s),
             Unit::Second.show(found.window_s),
         ),
         evidence: Evidence::default(),

@@ -206,7 +206,7 @@ fn describe(case: &Case, exceeded: &ExceededLimit<'_>, unit: Unit) -> String {
         shown(value),
         shown(exceeded.excess.excess()),
         shown(limit),
-        case.evidence.moment(case.evidence.origin.shifted(at_s)),
+        case.evidence.moment_at(at_s),
         Unit::Second.show(seconds),
     )
 }

@@ -389,7 +389,7 @@ fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     let length = Unit::Metre.show(quantile(&residual.error.length));
     let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(quantile(angle)));
     let quantile = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
-    let time_of = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
+    let time_of = |at_s: f64| case.evidence.moment_at(at_s);
     let (first, last) = (residual.parts.first(), residual.parts.last());
     let from = time_of(first.map_or(0.0, |part| part.from_s));
     let to = time_of(last.map_or(0.0, |part| part.to_s));
