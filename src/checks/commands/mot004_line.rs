@@ -118,37 +118,30 @@ fn judge(
         relative_deviation(a.0, a.1, thresholds)
             .total_cmp(&relative_deviation(b.0, b.1, thresholds))
     });
-    let (line, measured) = match worst {
-        _ if is_command_deviating(commanded, thresholds) => {
-            (commanded, worst.map(|(_, (_, measured))| *measured))
+    let is_deviating = is_command_deviating(commanded, thresholds);
+    let outcome = match worst {
+        // A fault of the command must not hide that the tip leaves the line.
+        Some((_, (line, measured))) if is_deviating => {
+            with_distance(case, commanded, line, measured, lines.len())
         }
-        Some((_, (line, measured))) => (line, Some(*measured)),
-        None => (commanded, None),
-    };
-    let outcome = match (is_command_deviating(commanded, thresholds), &measured) {
-        (true, _) => command_outcome(commanded, thresholds),
-        (false, Some(measured)) => tip_outcome(case, line, measured, lines.len()),
-        (false, None) => {
+        None if is_deviating => Outcome::fail(command_fault(commanded, thresholds)),
+        Some((_, (line, measured))) => tip_outcome(case, line, measured, lines.len()),
+        None => {
             Outcome::Inconclusive(format!("no source of poses covers any of the lines; {SETTLE}"))
         }
     };
-    // A fault of the command must not hide that the tip leaves the line.
-    let outcome = match (outcome, worst) {
-        (Outcome::Evaluated(_), Some((_, (line, measured))))
-            if is_command_deviating(commanded, thresholds) =>
-        {
-            with_distance(case, commanded, line, measured, lines.len())
-        }
-        (outcome, _) => outcome,
-    };
     let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: 1.0 };
-    let distance = measured.as_ref().map_or(unknown, |measured| measured.distance_m.norm);
-    let angle = match &measured {
-        _ if is_command_deviating(commanded, thresholds) => {
-            Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY }
+    let (distance, angle) = worst.map_or((unknown, unknown), |(_, (_, measured))| {
+        (measured.distance_m.norm, measured.angle_rad.norm)
+    });
+    let (line, angle) = match worst {
+        _ if is_deviating => {
+            let angle =
+                Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY };
+            (commanded, angle)
         }
-        Some(measured) => measured.angle_rad.norm,
-        None => unknown,
+        Some((_, (line, _))) => (line, angle),
+        None => (commanded, angle),
     };
     let measured_by: Value = worst.map(|(source, _)| source_name(reference, source)).into();
     reference
@@ -210,7 +203,7 @@ fn tip_outcome(
 }
 
 /// If the command is not a slerp.
-fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
+fn command_fault(line: &CommandedLine, thresholds: &FrameThresholds) -> Fault {
     let (deviation, rotation) =
         (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
@@ -225,7 +218,7 @@ fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcom
         }
         None => (thresholds.angle.severity(line.command_rad), format!(", {across} off the axis")),
     };
-    Outcome::fail(Fault {
+    Fault {
         cause: Cause::Pictured(Picture::Line),
         severity: severity.unwrap_or(Severity::Info),
         title: "orientation along the line is not a slerp",
@@ -234,7 +227,7 @@ fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcom
         ),
         evidence: Evidence::default(),
         fix: "interpolate rotations by slerp, in step with the positions".to_owned(),
-    })
+    }
 }
 
 /// Adds the distance of the tip from the line if that also fails; the severity is the higher one.
@@ -247,20 +240,15 @@ fn with_distance(
 ) -> Outcome {
     let off_line = CommandedLine { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging =
-        command_outcome(commanded, &case.thresholds.frame_thresholds(&MOT004, THRESHOLDS));
-    let Outcome::Evaluated(crate::finding::Ruling::Fail(fault)) = swinging else {
-        return swinging;
-    };
-    match decide(case, &off_line, measured, lines) {
-        Decision::Fail(severity) => Outcome::fail(Fault {
-            cause: Cause::Pictured(Picture::Line),
+    let fault = command_fault(commanded, &case.thresholds.frame_thresholds(&MOT004, THRESHOLDS));
+    Outcome::fail(match decide(case, &off_line, measured, lines) {
+        Decision::Fail(severity) => Fault {
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),
-            ..*fault
-        }),
-        _ => Outcome::Evaluated(crate::finding::Ruling::Fail(fault)),
-    }
+            ..fault
+        },
+        _ => fault,
+    })
 }
 
 #[cfg(test)]
