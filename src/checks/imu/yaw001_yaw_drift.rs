@@ -120,7 +120,7 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> V
         let settling = imu.judged(outcome).estimated(estimate).with_evidence("kind", "warm-up");
         judged.push(settling.with_evidence("time_constant_s", warm_up.time_constant_s));
     }
-    judged.into_iter().map(|judged| judged.within(imu.span)).collect()
+    judged
 }
 
 const AXES: [&str; 3] = ["x", "y", "z"];

@@ -78,7 +78,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
             format!("negate {axis} of the angular velocity, or check which axes the driver swaps");
         let outcome = Outcome::fail(fault(Severity::Error, message, fix));
         let half = Estimate::exact("mount error", THRESHOLD.unit.symbol(), PI);
-        return Some(imu.judged(outcome).estimated(half).within(imu.span));
+        return Some(imu.judged(outcome).estimated(half));
     }
     let rotation = imu.diagnosis.axes_rotation.as_ref()?;
     // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
@@ -100,8 +100,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
     let message = format!("{what} are {size} off the orientation's axes{order}");
     let fix = "publish gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
     let estimate = Estimate::length("mount error", THRESHOLD.unit, &rotation.size_rad);
-    let judged = imu.judged(Outcome::fail(fault(severity, message, fix))).within(imu.span);
-    Some(judged.estimated(estimate))
+    Some(imu.judged(Outcome::fail(fault(severity, message, fix))).estimated(estimate))
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
@@ -158,7 +157,6 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
             imu.judged(outcome).estimated(estimate)
         }
     };
-    let judged = judged.within(imu.span);
     let link = &imu.link;
     let judged = match imu.diagnosis.link_from_imu {
         Some(mount) => judged

@@ -78,7 +78,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         }
     };
     let judged = match &bias.change {
-        Some(change) => with_change(judged.within(imu.span), change),
+        Some(change) => with_change(judged, change),
         None => judged,
     };
     match &bias.scale_error {
