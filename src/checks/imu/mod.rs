@@ -20,6 +20,13 @@ pub(super) static FAMILY: Family = Family {
     ],
 };
 
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// `-y`, for example, if the cosine of the angle to y is negative.
+fn signed_axis(axis: usize, cosine: f64) -> String {
+    format!("{}{}", if cosine < 0.0 { "-" } else { "" }, AXES[axis])
+}
+
 /// Withdraws a finding if FK has an unexplained rotation error that is not much smaller than this one.
 fn unless_fk_is_wrong(outcome: Outcome, arm: &ArmEvidence, error_rad: f64) -> Outcome {
     /// Nominal kinematics stay below it (MDL001).

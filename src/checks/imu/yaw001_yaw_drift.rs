@@ -1,6 +1,6 @@
 use serde_json::{Map, Value, json};
 
-use super::unless_fk_is_wrong;
+use super::{AXES, unless_fk_is_wrong};
 use crate::checks::decision::{DEGREE, Threshold, decide, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{HeadingError, Measured, YawJump, YawProfile, YawWarmUp};
@@ -122,8 +122,6 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> V
     }
     judged
 }
-
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 fn depends(heading: &HeadingError, severity: Severity) -> Fault {
     let size = JUMP.unit.show_measured(&heading.amplitude_rad);

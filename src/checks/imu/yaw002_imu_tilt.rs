@@ -1,3 +1,4 @@
+use super::signed_axis;
 use crate::checks::decision::{DEGREE, Threshold, decide_length, not_observable};
 use crate::checks::{CONTRADICTION, Case, Grade, SubjectResult};
 use crate::diagnosis::{MeasuredLength, UpDirections};
@@ -103,8 +104,7 @@ fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
                 .to_owned(),
         ));
     }
-    let sign = if up.in_world[axis] < 0.0 { "-" } else { "" };
-    let up = format!("{sign}{}", ["x", "y", "z"][axis]);
+    let up = signed_axis(axis, up.in_world[axis]);
     Some((
         "IMU world is not z up",
         format!("{up} of the orientation's world frame points up; REP 145 requires z"),

@@ -1,4 +1,4 @@
-use super::unless_fk_is_wrong;
+use super::{AXES, signed_axis, unless_fk_is_wrong};
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, not_observable};
 use crate::checks::{CONTRADICTION, Case, Grade, SubjectResult};
 use crate::diagnosis::{ImuMountChange, MeasuredLength};
@@ -181,8 +181,6 @@ fn gravity_error(imu: &StreamEvidence<ImuEvidence>) -> Option<f64> {
     (angle_between(&logged, &assumed) < f64::EPSILON.sqrt()).then(|| low.min(PI - high))
 }
 
-const AXES: [&str; 3] = ["x", "y", "z"];
-
 const MAX_AXIS_ANGLE_RAD: f64 = 10.0 * DEGREE;
 
 fn direction_cosines(mount: &Rotation, link: &str) -> Value {
@@ -205,10 +203,8 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
     nearest.sort_by(|&a, &b| cosines[b].abs().total_cmp(&cosines[a].abs()));
-    let [first, second, _] = nearest.map(|nearest_axis| {
-        let sign = if cosines[nearest_axis] < 0.0 { "-" } else { "" };
-        format!("{link} {sign}{}", AXES[nearest_axis])
-    });
+    let [first, second, _] =
+        nearest.map(|along| format!("{link} {}", signed_axis(along, cosines[along])));
     let deviation_rad = cosines[nearest[0]].abs().min(1.0).acos();
     if deviation_rad <= MAX_AXIS_ANGLE_RAD {
         return format!("along {first}");
@@ -225,23 +221,18 @@ fn mount_error_message(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation
 
 /// The directions of x, y and z if `error` permutes or reverses axes, otherwise `None`.
 fn permuted(error: &Rotation) -> Option<String> {
-    let axes: Vec<(usize, f64)> = (0..3)
-        .map(|axis| {
-            let points = error * Vec3::ith(axis, 1.0);
-            let along = points.iamax();
-            (along, points[along])
-        })
-        .collect();
+    let axes = [0, 1, 2].map(|axis| {
+        let points = error * Vec3::ith(axis, 1.0);
+        let along = points.iamax();
+        (along, points[along])
+    });
     let is_permutation = axes.iter().all(|(_, cosine)| cosine.abs() >= MAX_AXIS_ANGLE_RAD.cos());
     let is_same =
         axes.iter().enumerate().all(|(axis, (along, cosine))| axis == *along && *cosine > 0.0);
     if !is_permutation || is_same {
         return None;
     }
-    let shown = |(along, cosine): &(usize, f64)| {
-        format!("{}{}", if *cosine < 0.0 { "-" } else { "" }, AXES[*along])
-    };
-    let order = axes.iter().map(shown).collect::<Vec<_>>().join(", ");
+    let order = axes.map(|(along, cosine)| signed_axis(along, cosine)).join(", ");
     let known = match order.as_str() {
         "x, -y, -z" => " (FRD, as with NED: z points down)",
         "y, x, -z" => " (NED for ENU: z points down)",
