@@ -113,8 +113,8 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
     let judged = match (&imu.diagnosis.mount_rad, slips) {
         (_, Some((decision, change))) => {
             let when = Change {
-                from: mount_error_message(imu, imu.diagnosis.link_from_imu),
-                to: mount_error_message(imu, Some(change.link_from_imu)),
+                from: angle_to_mount_rad(imu, imu.diagnosis.link_from_imu),
+                to: angle_to_mount_rad(imu, Some(change.link_from_imu)),
                 change_ns: case.evidence.origin.shifted(change.at_s),
                 change_ci95_ns: Some(
                     change.interval_s.map(|end_s| case.evidence.origin.shifted(end_s)),
@@ -140,7 +140,6 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
         },
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
-            let found = imu.diagnosis.link_from_imu;
             // Too uncertain for a finding.
             let is_vague = mount.norm.half_width(0.95) > threshold.error;
             let outcome = match decision {
@@ -148,9 +147,7 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
                     let shown = THRESHOLD.unit.show_measured(&mount.norm);
                     Outcome::Inconclusive(format!("{shown} is too uncertain; {SETTLE}"))
                 }
-                decision => {
-                    decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity))
-                }
+                decision => decision.into_outcome(SETTLE, |severity| fault(mount, imu, severity)),
             };
             let outcome = unless_fk_is_wrong(outcome, arm, mount.norm.value);
             let estimate = Estimate::length("mount error", THRESHOLD.unit, mount);
@@ -213,8 +210,8 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {deviation_deg:.0}° off the first")
 }
 
-/// In rad; to the mount at the start if the log has none.
-fn mount_error_message(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
+/// Angle to the logged mount; to the mount at the start if the log has none.
+fn angle_to_mount_rad(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
@@ -268,22 +265,16 @@ fn slipped(
     }
 }
 
-fn fault(
-    mount: &MeasuredLength,
-    imu: &StreamEvidence<ImuEvidence>,
-    link_from_imu: Option<Rotation>,
-    severity: Severity,
-) -> Fault {
+fn fault(mount: &MeasuredLength, imu: &StreamEvidence<ImuEvidence>, severity: Severity) -> Fault {
+    let link_from_imu = imu.diagnosis.link_from_imu;
     let shown = THRESHOLD.unit.show_measured(&mount.norm);
     let axes = link_from_imu.map_or(String::new(), |link_from_imu| {
         let [x, y, z] = [0, 1, 2].map(|axis| direction(&link_from_imu, axis, &imu.link));
         format!(": imu x points {x}; y {y}; z {z}")
     });
-    let permuted = imu
-        .link_from_imu
-        .zip(link_from_imu)
-        .and_then(|(logged, link_from_imu)| permuted(&(logged.inverse() * link_from_imu)));
-    let permuted = permuted
+    let both = imu.link_from_imu.zip(link_from_imu);
+    let permuted = both
+        .and_then(|(logged, found)| permuted(&(logged.inverse() * found)))
         .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
