@@ -1,4 +1,4 @@
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::{AXES, unless_fk_is_wrong};
 use crate::checks::decision::{DEGREE, Threshold, decide, not_observable};
@@ -183,11 +183,8 @@ fn with_profile(judged: SubjectResult, profile: &YawProfile, kind: &str) -> Subj
 }
 
 fn jump_json(jump: &YawJump) -> Value {
-    let mut shown = Map::new();
-    shown.insert("at_s".to_owned(), json!(jump.at_s));
-    shown.insert("rad".to_owned(), json!(jump.size_rad.value));
-    shown.insert("ci95".to_owned(), json!(jump.size_rad.interval(0.95)));
-    Value::Object(shown)
+    let size = jump.size_rad;
+    json!({"at_s": jump.at_s, "rad": size.value, "ci95": size.interval(0.95)})
 }
 
 fn drift_fault(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
