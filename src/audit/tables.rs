@@ -5,7 +5,7 @@ use std::path::Path;
 use super::Options;
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
 use super::missing_rate::columns_of_configurations;
-use crate::diagnosis::{LastTurn, PoseStream, diagnose_arm};
+use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{
     CalibrationTable, LogError, NumberTable, RotationColumns, read_calibration_table,
@@ -87,15 +87,9 @@ impl ConfigurationTable {
             .collect();
         let columns: Vec<usize> = (0..joints.len()).collect();
         let stream = |track| PoseStream {
-            track,
-            chain: &chain,
-            columns: &columns,
             reference_known: false,
-            stamp_error_s: 0.0,
             stamps_copied: true,
-            removed_ramp: None,
-            last_turn: LastTurn::Unknown,
-            moving_frame: None,
+            ..PoseStream::new(track, &chain, &columns)
         };
         let streams: Vec<PoseStream> = poses.iter().map(stream).collect();
         let found = diagnose_arm(&track, &streams, ROW_INTERVAL_S);

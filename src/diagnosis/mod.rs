@@ -267,6 +267,23 @@ pub struct PoseStream<'a> {
     pub last_turn: LastTurn,
 }
 
+impl<'a> PoseStream<'a> {
+    /// Stream in a frame fixed to the base, on the clock of the joint states.
+    pub fn new(track: &'a PoseTrack, chain: &'a Chain, columns: &'a [usize]) -> Self {
+        Self {
+            track,
+            chain,
+            columns,
+            reference_known: true,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+            removed_ramp: None,
+            moving_frame: None,
+            last_turn: LastTurn::Unknown,
+        }
+    }
+}
+
 /// What a turn about the axis of a chain's last joint belongs to. Poses do not show it; an IMU beyond the joint may.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LastTurn {

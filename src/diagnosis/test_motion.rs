@@ -33,17 +33,7 @@ pub fn pose_track(t_s: &[f64], poses: impl IntoIterator<Item = (Vec3, Rotation)>
 
 /// Stream of the tip of [`arm`].
 pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> {
-    PoseStream {
-        track,
-        chain,
-        columns: &[0, 1, 2, 3, 4, 5],
-        reference_known: true,
-        stamp_error_s: 0.0,
-        stamps_copied: false,
-        removed_ramp: None,
-        last_turn: crate::LastTurn::Unknown,
-        moving_frame: None,
-    }
+    PoseStream::new(track, chain, &[0, 1, 2, 3, 4, 5])
 }
 
 /// The test arm, with links that deviate by this much, m, and 0.1° per mm.

@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, BaseMotion, LagPeak, LastTurn, PoseSeries, PoseStream, best_lag_peak,
-    candidate_lags, detect_base_motion, detect_tool_switching, diagnose_imu,
-    estimate_moving_base_lag, follows_as_logged, follows_with_other_encoding, is_seen_from_tool,
-    position_misfit_m, rotation_lag_peaks,
+    ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, best_lag_peak, candidate_lags,
+    detect_base_motion, detect_tool_switching, diagnose_imu, estimate_moving_base_lag,
+    follows_as_logged, follows_with_other_encoding, is_seen_from_tool, position_misfit_m,
+    rotation_lag_peaks,
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, MIN_FOLLOWER_CORRELATION, NotAudited, NotAuditedReason,
@@ -228,17 +228,7 @@ fn arm_lead_s(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
         orientation: Orientations::Rotations(rotations),
         declared: None,
     };
-    let stream = PoseStream {
-        track: &track,
-        chain: &leader.chain,
-        columns: &leader.columns,
-        reference_known: true,
-        stamp_error_s: 0.0,
-        stamps_copied: false,
-        removed_ramp: None,
-        last_turn: LastTurn::Unknown,
-        moving_frame: None,
-    };
+    let stream = PoseStream::new(&track, &leader.chain, &leader.columns);
     let peak = best_lag_peak(&leader.joints, &stream, max_lag_s)?;
     (peak.correlation >= MIN_LEAD_CORRELATION && peak.lag_s > MIN_LEAD_S).then_some(peak.lag_s)
 }

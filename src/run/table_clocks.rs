@@ -3,7 +3,7 @@
 //!
 //! The speeds of joints and tool agree best at the offset of their clocks. Delays between such tables remain unknown.
 
-use crate::diagnosis::{LagPeak, LastTurn, PoseStream, candidate_lags};
+use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
 use crate::geometry::Vec3;
 use crate::log::{Log, Note, Topic};
 use crate::robot::{Chain, Robot, catalogue};
@@ -170,17 +170,8 @@ fn group_offset(
     let mut best: Option<Vec<LagPeak>> = None;
     for chain in robots.into_iter().flat_map(arm_chains) {
         let Some(order) = joint_order(&chain, columns) else { continue };
-        let stream = PoseStream {
-            track: &track,
-            chain: &chain,
-            columns: &order,
-            reference_known: false,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-            last_turn: LastTurn::Unknown,
-            moving_frame: None,
-        };
+        let stream =
+            PoseStream { reference_known: false, ..PoseStream::new(&track, &chain, &order) };
         let peaks = candidate_lags(&joint_track, &stream, max_lag_s);
         let height = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         if best.as_deref().is_none_or(|best| height(best) < height(&peaks)) {

@@ -604,19 +604,9 @@ impl NumericTable {
         let joints = self.track(block, chain);
         let track = self.position(position);
         let columns: Vec<usize> = (0..chain.dof()).collect();
-        let stream = PoseStream {
-            track: &track,
-            chain,
-            columns: &columns,
-            reference_known: false,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-            last_turn: crate::LastTurn::Unknown,
-            moving_frame: None,
-        };
+        let in_base = PoseStream::new(&track, chain, &columns);
+        let stream = PoseStream { reference_known: false, ..in_base };
         let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
-        let in_base = PoseStream { reference_known: true, ..stream };
         let fit = |stream| tool_fit(&joints, stream, constraints.max_lag_s, with_zero);
         let at_base = fit(&in_base).filter(|it| {
             let most_m = MAX_RESIDUAL_M.min(MAX_RESIDUAL_SHARE_BOUND * spread_m);

@@ -1,6 +1,7 @@
 use super::fourier::FourierMotion;
 use super::*;
-use crate::{PoseStream, diagnose_arm};
+use crate::diagnose_arm;
+use crate::test_motion::tip_stream;
 use ground::geometry::{Vec3, rotation_from_rotvec};
 use ground::robot::{JointKind, Robot, catalogue};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
@@ -281,21 +282,7 @@ fn the_expected_precision_is_reached() {
         .unwrap()[0]
         .half_width;
     let truth = [0.0, 0.004, -0.006, 0.005, 0.0, 0.0];
-    let columns: Vec<usize> = (0..6).collect();
-    let diagnosed = |track: &PoseTrack| {
-        let stream = PoseStream {
-            track,
-            chain: &chain,
-            columns: &columns,
-            reference_known: true,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-            last_turn: crate::LastTurn::Unknown,
-            moving_frame: None,
-        };
-        diagnose_arm(&motion, &[stream], 1.0)
-    };
+    let diagnosed = |track: &PoseTrack| diagnose_arm(&motion, &[tip_stream(track, &chain)], 1.0);
     let (mut halves, mut squares) = (vec![0.0; 7], vec![0.0; 7]);
     for seed in 0..RUNS {
         let track = logged(&chain, &motion, 0.02, &[0.0; 6], seed);
