@@ -156,15 +156,11 @@ pub fn clean_run() -> RunEvidence {
                 other_faults: 0,
             },
         }),
-        diagnosis: JointDiagnosis {
-            encoding: Ok(JointEncoding::default()),
-            partial_encoding: None,
-            offsets: vec![offset(), offset(), offset()],
-            scales: Vec::new(),
-            changes: Vec::new(),
-            patches: Vec::new(),
-            compliance: Vec::new(),
-        },
+        diagnosis: JointDiagnosis::without_changes(
+            Ok(JointEncoding::default()),
+            vec![offset(), offset(), offset()],
+            Vec::new(),
+        ),
         poses: vec![stream_evidence(POSE, stream(true))],
         tf: Some(stream_evidence(TF, stream(false))),
         vibrations: vec![stream_evidence(

@@ -11,7 +11,8 @@ use crate::{
 use ground::stream::JointTrack;
 
 impl JointDiagnosis {
-    pub(crate) fn without_changes(
+    /// Diagnosis of joints without changes and compliance.
+    pub fn without_changes(
         encoding: EstimateResult<JointEncoding>,
         offsets: Vec<JointOffset>,
         scales: Vec<JointScale>,
