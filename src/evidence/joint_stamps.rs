@@ -34,20 +34,18 @@ pub(super) fn joint_stamps<'a>(
     const MAX_PAUSED_PERCENT: usize = 10;
     /// Fewer may be other jumps of the positions.
     const MIN_PAUSES: usize = 5;
-    let alike =
-        samples.first().is_some_and(|first| samples.iter().all(|it| it.has_same_times(first)));
-    let Some(first) = samples.first().filter(|_| alike) else {
+    let Some(t_s) = JointSamples::common_times(samples) else {
         return (JointStamps::default(), None);
     };
-    let even_rate_hz = even_rate_hz(&first.t_s);
+    let even_rate_hz = even_rate_hz(t_s);
     let pauses = pauses(samples);
-    if pauses.len() < MIN_PAUSES || 100 * pauses.len() > MAX_PAUSED_PERCENT * first.t_s.len() {
+    if pauses.len() < MIN_PAUSES || 100 * pauses.len() > MAX_PAUSED_PERCENT * t_s.len() {
         return (JointStamps { even_rate_hz, pauses: None }, None);
     }
     let mut lengths_s: Vec<f64> = pauses.iter().map(|(_, length_s)| *length_s).collect();
     let typical_s = median(&mut lengths_s).unwrap_or(0.0);
     let (mut next, mut late_s) = (pauses.iter().peekable(), 0.0);
-    let with_pauses = first.t_s.iter().enumerate().map(|(row, t_s)| {
+    let with_pauses = t_s.iter().enumerate().map(|(row, t_s)| {
         if let Some((_, length_s)) = next.next_if(|(at, _)| *at == row) {
             late_s += length_s;
         }

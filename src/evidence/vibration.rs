@@ -66,11 +66,11 @@ pub(super) fn vibration_of_joints(
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
         arm.chain.forward(&q).translation.vector
     };
-    let found = match samples.first() {
-        Some(first) if samples.iter().all(|other| other.has_same_times(first)) => {
-            estimate_vibration(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
+    let found = match JointSamples::common_times(samples) {
+        Some(t_s) => {
+            estimate_vibration(t_s, |row| tip(&|column| samples[column].position[row]), None)
         }
-        _ => estimate_vibration(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
+        None => estimate_vibration(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
     }?;
     // Encoder quantisation is not white: uniform motion turns it into tones.
     let hidden_m = MAX_LOCAL_RMS_RATIO * encoder_noise_m(arm, samples, track);

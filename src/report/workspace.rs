@@ -1,5 +1,7 @@
 //! Workspace covered by the arms of a run.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -130,35 +132,30 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
 struct JointRows<'a> {
     arm: &'a Arm,
     samples: Vec<JointSamples<'a>>,
-    is_shared: bool,
+    /// If the joints share their messages.
+    t_s: Option<Arc<[f64]>>,
 }
 
 impl<'a> JointRows<'a> {
     fn new(run: &'a Run, arm: &'a Arm) -> Self {
         let samples = run.joint_samples(&arm.joint_sources);
-        let is_shared = match samples.as_slice() {
-            [first, others @ ..] => others.iter().all(|other| other.has_same_times(first)),
-            [] => false,
-        };
-        Self { arm, samples, is_shared }
+        let t_s = JointSamples::common_times(&samples).cloned();
+        Self { arm, samples, t_s }
     }
 
     fn len(&self) -> usize {
-        match self.samples.first() {
-            Some(first) if self.is_shared => first.t_s.len(),
-            _ => self.arm.joints.len(),
-        }
+        self.t_s.as_ref().map_or(self.arm.joints.len(), |t_s| t_s.len())
     }
 
     /// Time in s from the run's origin, and the chain's joints.
     fn time_and_positions(&self, row: usize) -> (f64, Vec<f64>) {
         let columns = self.arm.columns.iter();
-        match self.samples.first() {
-            Some(first) if self.is_shared => {
+        match &self.t_s {
+            Some(t_s) => {
                 let position = |&column: &usize| self.samples[column].position[row];
-                (first.t_s[row], columns.map(position).collect())
+                (t_s[row], columns.map(position).collect())
             }
-            _ => {
+            None => {
                 let q = self.arm.joints.row(row);
                 (self.arm.joints.t_s[row], columns.map(|&column| q[column]).collect())
             }

@@ -167,6 +167,12 @@ impl JointSamples<'_> {
     pub fn has_same_times(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
     }
+
+    /// Times of all joints. `None` if they differ, or without joints.
+    pub fn common_times(joints: &[Self]) -> Option<&Arc<[f64]>> {
+        let (first, others) = joints.split_first()?;
+        others.iter().all(|other| other.has_same_times(first)).then_some(&first.t_s)
+    }
 }
 
 impl Run {
