@@ -97,7 +97,7 @@ pub(super) fn joint_evidence(
                 peak_acceleration(t_s, velocity, JointSampleKind::Velocities, 0.0),
             ),
             VelocitySource::Derived => {
-                let step = encoder_step(position).max(polling_step(run, source.stream, samples));
+                let step = position_step(run, source.stream, samples);
                 let beyond = speed_violation_from_positions(t_s, position, &limits, step);
                 (beyond, peak_acceleration(t_s, position, JointSampleKind::Positions, step))
             }
@@ -107,18 +107,19 @@ pub(super) fn joint_evidence(
     JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
 }
 
-/// Span of the errors of positions whose age varies, because rows are polled while the source sends new values: the
-/// highest speed times the interval between new values. 0 if no row in motion repeats the previous one.
-pub(super) fn polling_step(run: &Run, stream: usize, samples: &JointSamples<'_>) -> f64 {
+/// Span of the errors of positions: the encoder's step. More if their age varies, because rows are polled while the source
+/// sends new values: the highest speed times the interval between new values.
+pub(super) fn position_step(run: &Run, stream: usize, samples: &JointSamples<'_>) -> f64 {
     /// For the speed; longer than the age varies.
     const SPEED_WINDOW_S: f64 = 0.1;
+    let step = encoder_step(&samples.position);
     let mut repeats = run.sample_filter.repeated.iter();
     let Some(held) = repeats.find(|held| held.stream == stream && held.repeated > 0) else {
-        return 0.0;
+        return step;
     };
     let speeds = rates(&samples.t_s, &samples.position, SPEED_WINDOW_S).into_iter();
     let highest = speeds.map(f64::abs).filter(|speed| speed.is_finite()).fold(0.0, f64::max);
-    highest / held.values_hz
+    step.max(highest / held.values_hz)
 }
 
 /// Whole turns beyond `limits` of all positions (rad), if subtracting them brings every position within.

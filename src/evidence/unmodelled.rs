@@ -3,11 +3,11 @@
 use super::arm::ArmEvidence;
 use super::commands::UnmodelledCommands;
 use super::joint_stamps::joint_stamps;
-use super::joints::{JointEvidence, JointMotion, polling_step, velocities};
+use super::joints::{JointEvidence, JointMotion, position_step, velocities};
 use super::{StreamEvidence, span_or_run};
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointEncoding, JointSampleKind, VelocityDiagnosis,
-    encoder_step, peak_acceleration,
+    peak_acceleration,
 };
 use crate::run::{JointSamples, JointSource, Role, Run, RunError, VelocitySource};
 use crate::stream::{Columns, JointColumn, JointColumns};
@@ -69,7 +69,7 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
         let abruptness = match is_consistent {
             true => peak_acceleration(t_s, logged, JointSampleKind::Velocities, 0.0),
             false => {
-                let step = encoder_step(position).max(polling_step(run, stream, samples));
+                let step = position_step(run, stream, samples);
                 peak_acceleration(t_s, position, JointSampleKind::Positions, step)
             }
         };
