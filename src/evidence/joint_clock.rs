@@ -1,7 +1,7 @@
 //! Steps of the joint states' clock. All other streams appear to step in the opposite direction at the same time.
 
 use super::estimate::ArmStreamsDiagnosis;
-use crate::diagnosis::{LatencyProfile, LatencyShape, LatencyStep, Measured};
+use crate::diagnosis::{LatencyProfile, LatencyShape, LatencyStep, Measured, monotonic_rows};
 use crate::run::{Arm, JointSamples};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::stream::JointTrack;
@@ -136,9 +136,10 @@ fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
     const MAX_ERROR_S: f64 = 1.5;
     /// Of the step's size.
     const MAX_DIFFERENCE_SHARE: f64 = 0.3;
-    let row = |row: usize| &joints.q[row * joints.dof..(row + 1) * joints.dof];
+    let moved =
+        |from: usize, column: usize| joints.row(from + 1)[column] - joints.row(from)[column];
     let slope = |from: usize, column: usize| {
-        (row(from + 1)[column] - row(from)[column]) / (joints.t_s[from + 1] - joints.t_s[from])
+        moved(from, column) / (joints.t_s[from + 1] - joints.t_s[from])
     };
     // Per interval: its middle, the time that its stamps have too much, and the joints' speed.
     let intervals = (1..joints.t_s.len().saturating_sub(2)).map(|from| {
@@ -146,7 +147,7 @@ fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
         let (mut along, mut squares) = (0.0, 0.0);
         for column in 0..joints.dof {
             let speed = 0.5 * (slope(from - 1, column) + slope(from + 1, column));
-            along += speed * (row(from + 1)[column] - row(from)[column]);
+            along += speed * moved(from, column);
             squares += speed * speed;
         }
         (joints.t_s[from] + 0.5 * interval_s, interval_s - along / squares, squares.sqrt())
@@ -168,11 +169,11 @@ fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
 fn with_true_stamps(joints: &JointTrack, profile: &LatencyProfile) -> JointTrack {
     let rows = rows_in_true_order(&joints.t_s, profile);
     let values = |all: &[f64]| {
-        let rows = rows.iter().flat_map(|(_, row)| &all[row * joints.dof..(row + 1) * joints.dof]);
+        let rows = rows.iter().flat_map(|(row, _)| &all[row * joints.dof..(row + 1) * joints.dof]);
         rows.copied().collect()
     };
     JointTrack {
-        t_s: rows.iter().map(|(t_s, _)| *t_s).collect(),
+        t_s: rows.iter().map(|(_, t_s)| *t_s).collect(),
         q: values(&joints.q),
         qd: values(&joints.qd),
         ..joints.clone()
@@ -185,27 +186,21 @@ pub(super) fn samples_with_true_stamps<'a>(
     profile: &LatencyProfile,
 ) -> JointSamples<'a> {
     let rows = rows_in_true_order(&samples.t_s, profile);
-    let values = |all: &[f64]| rows.iter().filter_map(|(_, row)| all.get(*row).copied()).collect();
+    let values = |all: &[f64]| rows.iter().filter_map(|(row, _)| all.get(*row).copied()).collect();
     JointSamples {
-        t_s: rows.iter().map(|(t_s, _)| *t_s).collect(),
+        t_s: rows.iter().map(|(_, t_s)| *t_s).collect(),
         position: values(&samples.position),
         velocity: values(&samples.velocity),
     }
 }
 
-fn rows_in_true_order(t_s: &[f64], profile: &LatencyProfile) -> Vec<(f64, usize)> {
+/// Rows with their true stamps.
+fn rows_in_true_order(t_s: &[f64], profile: &LatencyProfile) -> Vec<(usize, f64)> {
     let latency_s = |t_s: f64| {
         let level = profile.levels.partition_point(|level| level.0 < t_s).saturating_sub(1);
         profile.levels.get(level).map_or(0.0, |level| level.1)
     };
-    let mut last_s = f64::NEG_INFINITY;
-    let rows = t_s.iter().enumerate().map(|(row, t_s)| (t_s - latency_s(*t_s), row));
-    rows.filter(|(t_s, _)| {
-        let is_later = *t_s > last_s;
-        last_s = last_s.max(*t_s);
-        is_later
-    })
-    .collect()
+    monotonic_rows(t_s.iter().map(|t_s| t_s - latency_s(*t_s)).enumerate())
 }
 
 #[cfg(test)]

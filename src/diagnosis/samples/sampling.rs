@@ -34,9 +34,7 @@ pub(crate) fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
 }
 
 /// Drops rows whose compensated stamps precede an earlier one.
-pub(crate) fn monotonic_rows(
-    compensated_s: impl Iterator<Item = (usize, f64)>,
-) -> Vec<(usize, f64)> {
+pub fn monotonic_rows(compensated_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
     let mut retained: Vec<(usize, f64)> = Vec::with_capacity(compensated_s.size_hint().0);
     for (row, t_s) in compensated_s {
         if retained.last().is_none_or(|(_, before_s)| t_s > *before_s) {
