@@ -1,3 +1,4 @@
+use super::stream_span;
 use crate::diagnosis::{
     CameraMount, HandEyeDiagnosis, HandEyeStreams, PoseSeries, diagnose_hand_eye,
     rotation_lag_peaks,
@@ -85,7 +86,7 @@ pub(super) fn hand_eyes(
             topic: stream.topic.clone(),
             camera: stream.frame_id.clone(),
             target: stream.child_frame_id.clone(),
-            span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
+            span: stream_span(run, target.stream),
             hand: hand_name,
             hand_is_of_joints: matches!(source.kind, HandKind::Joints { .. }),
             hand_frame,
