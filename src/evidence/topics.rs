@@ -121,26 +121,20 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     let of = |index: usize| {
         let own = run.streams.get(index)?;
         let all = groups.get(&(own.topic.as_str(), own.child_frame_id.as_str()))?;
-        let is_first = all.iter().find(|index| is_tied.contains(index)) == Some(&index);
-        if !is_first {
+        let (connected, others): (Vec<usize>, Vec<usize>) =
+            all.iter().partition(|&index| is_tied.contains(index));
+        if connected.first() != Some(&index) || others.is_empty() {
             return None;
         }
-        let others: Vec<&Stream> = all
-            .iter()
-            .filter(|index| !is_tied.contains(index))
-            .map(|&it| &run.streams[it])
-            .collect();
-        if others.is_empty() {
-            return None;
-        }
+        let others = || others.iter().map(|&other| &run.streams[other]);
         let why = NotAuditedReason::OtherFrames {
-            frames: others.iter().map(|other| other.frame_id.clone()).collect(),
-            samples: others.iter().map(|other| other.count).sum(),
+            frames: others().map(|other| other.frame_id.clone()).collect(),
+            samples: others().map(|other| other.count).sum(),
             of: all.iter().map(|&index| run.streams[index].count).sum(),
         };
         Some(NotAudited { stream: index, reason: why })
     };
-    tied.iter().filter_map(|&index| of(index)).collect()
+    tied.iter().copied().filter_map(of).collect()
 }
 
 /// Streams not audited, or not used as declared, with reasons.
