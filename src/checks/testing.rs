@@ -239,7 +239,6 @@ fn commands() -> ReferenceEvidence {
                 low_pass_s: 0.0,
                 gain: 1.0,
                 explained: 0.999,
-                by_delay_alone: 0.999,
             }),
         }],
     }

@@ -53,8 +53,6 @@ pub struct Response {
     pub gain: f64,
     /// Explained share of energy, at most 1.
     pub explained: f64,
-    /// Share explained by pure delay.
-    pub by_delay_alone: f64,
 }
 
 impl Response {
@@ -420,7 +418,6 @@ impl ResponseChanges {
             low_pass_s,
             gain: mean_gain(&self.fit_at(reference, delay_s)),
             explained: 1.0 - residuals,
-            by_delay_alone: 1.0 - min_residual,
         })
     }
 
