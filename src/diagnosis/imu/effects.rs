@@ -66,7 +66,7 @@ impl Profile {
     /// Values of its functions.
     pub fn weights(&self, t_s: f64, world_from_imu: &Rotation) -> Vec<f64> {
         match *self {
-            Self::Step { at_s, .. } => vec![f64::from(u8::from(t_s > at_s))],
+            Self::Step { at_s, .. } => vec![f64::from(t_s > at_s)],
             Self::Decay { first_s, time_constant_s } => {
                 vec![(-(t_s - first_s) / time_constant_s).exp()]
             }

@@ -186,7 +186,7 @@ impl<'a> ExtensionTests<'a> {
         if let Some(before) = next.checked_sub(1).filter(|_| next < self.t_s.len()) {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
-        let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
+        let weight = self.t_s.iter().map(|t_s| f64::from(*t_s > best_s)).collect();
         let (log_bayes_factor, variance) = self.compare(columns, vec![weight], size)?;
         // 95 % likelihood region.
         let limit = at(best_s) + 3.84 * variance;

@@ -142,7 +142,7 @@ impl Excited {
     fn new(linear: &Linear, noise: &DesignNoise, free: &[usize], priors: &[Prior]) -> Self {
         let width = linear.width;
         let squares = linear.information(&linear.even_weights());
-        let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(u8::from(i == column)));
+        let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(i == column));
         let mut free = free.to_vec();
         free.sort_unstable();
         let mut basis: Vec<DVector<f64>> = free.iter().map(|&column| unit(column)).collect();

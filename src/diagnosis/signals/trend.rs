@@ -117,8 +117,7 @@ fn persists_without_any_run(estimates: &[RunEstimate], after_s: f64, by: f64) ->
     runs.sort_by(|a, b| deviation(*b).total_cmp(&deviation(*a)));
     runs.into_iter().take(MAX_FITS).all(|out| {
         let rest: Vec<RunEstimate> = [&estimates[..out], &estimates[out + 1..]].concat();
-        let side: Vec<f64> =
-            rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();
+        let side: Vec<f64> = rest.iter().map(|one| f64::from(one.time_s >= after_s)).collect();
         LineFit::fit(&rest, &side).is_some_and(|fit| fit.slope.value / by >= MIN_PERSISTING_SHARE)
     })
 }
