@@ -11,7 +11,7 @@ use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
-    check_explained, mount_of, noise_of_axis, rms, widened,
+    check_explained, mount_of, noise_of_axes, rms, widened,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
@@ -484,9 +484,7 @@ impl Model for GyroModel<'_> {
 
     /// FK noise in the columns of the mount, gyro noise in all others.
     fn design_noise(&self) -> DesignNoise {
-        let track = self.link.stream.track;
-        let gyro_noise = (0..3).map(|axis| noise_of_axis(&track.gyro, axis).powi(2));
-        let gyro_noise = gyro_noise.sum::<f64>() / 3.0;
+        let gyro_noise = noise_of_axes(&self.link.stream.track.gyro).norm_squared() / 3.0;
         let mut noise = DesignNoise::zeros(self.effects.width());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             let per_s = 1.0 / (to_s - from_s);

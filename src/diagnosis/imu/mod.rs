@@ -280,9 +280,11 @@ fn joint_noise(joints: &JointTrack, column: usize, rest_speeds: &[f64]) -> [f64;
     [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
 }
 
-/// Noise between samples along an axis.
-fn noise_of_axis(vectors: &[Vec3], axis: usize) -> f64 {
-    sample_noise(&vectors.iter().map(|vector| vector[axis]).collect::<Vec<f64>>())
+/// Noise between samples along each axis.
+fn noise_of_axes(vectors: &[Vec3]) -> Vec3 {
+    Vec3::from_fn(|axis, _| {
+        sample_noise(&vectors.iter().map(|vector| vector[axis]).collect::<Vec<f64>>())
+    })
 }
 
 /// Mount from `Σ link·imuᵀ`. If the directions vary too little, selects the solution closest to `expected`.

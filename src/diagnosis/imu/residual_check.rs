@@ -1,7 +1,7 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
 use super::conventions::{Alignment, RatePair};
-use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION, noise_of_axis};
+use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION, noise_of_axes};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
 use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
@@ -112,12 +112,11 @@ fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<Gyro
         along += rate.dot(&(link_from_imu * (gyro - bias) - mean_rate));
         square += rate.norm_squared();
     }
-    let noise = |axis: usize| noise_of_axis(gyro, axis);
     let has_rates = gyro.iter().any(|gyro| gyro.norm() > 0.0);
     (has_rates && square > 0.0).then(|| GyroResidual {
         scale: along / square,
         residual: alignment.rms_residual(&pairs),
         by_fk: (square / pairs.len() as f64).sqrt(),
-        noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
+        noise: noise_of_axes(gyro).norm(),
     })
 }
