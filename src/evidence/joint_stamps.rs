@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::diagnosis::encoder_step;
 use crate::run::JointSamples;
-use crate::stats::median;
+use crate::stats::{mean, median};
 use crate::stream::sample_noise;
 
 /// What positions and velocities show of the stamps.
@@ -84,8 +84,8 @@ fn pauses(joints: &[JointSamples<'_>]) -> Vec<(usize, f64)> {
         .iter()
         .filter(|joint| joint.velocity.len() == rows)
         .filter_map(|joint| {
-            let known = || joint.velocity.iter().filter(|v| v.is_finite());
-            let square = known().map(|v| v * v).sum::<f64>() / known().count().max(1) as f64;
+            let known = joint.velocity.iter().filter(|v| v.is_finite());
+            let square = mean(known.map(|v| v * v));
             let min_jump = (MIN_ENCODER_STEPS * encoder_step(&joint.position))
                 .max(MIN_NOISE_SIGMAS * sample_noise(&joint.position));
             (square > 0.0).then(|| (joint, MIN_SPEED_SHARE * square.sqrt(), min_jump))

@@ -3,6 +3,7 @@ use crate::diagnosis::{
 };
 use crate::geometry::Pose;
 use crate::run::{Arm, JointSamples};
+use crate::stats::mean;
 use crate::stream::{JointTrack, PoseTrack};
 
 /// Vibration of the tip according to one stream.
@@ -97,6 +98,5 @@ fn encoder_noise_m(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) 
         };
         jacobian.iter().zip(&steps).map(of_joint).sum::<f64>()
     });
-    let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
-    f64::sqrt(sum / f64::max(count, 1.0))
+    mean(squares).sqrt()
 }

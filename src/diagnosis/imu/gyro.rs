@@ -19,7 +19,7 @@ use crate::priors::GYRO_SCALE_PRIOR;
 use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::MeasuredLength;
+use ground::stats::{MeasuredLength, mean};
 use nalgebra::{DVector, Matrix3};
 use std::ops::{Range, RangeInclusive};
 
@@ -423,8 +423,7 @@ impl GyroModel<'_> {
         let starts = self.windows.iter().map(|window| *window.start());
         let in_link = self.link_from_imu * bias_rad_s;
         let states = self.link.states(starts, self.delay);
-        let rates: Vec<f64> = states.map(|(_, state)| (state.rotation * in_link).z).collect();
-        rates.iter().sum::<f64>() / rates.len().max(1) as f64
+        mean(states.map(|(_, state)| (state.rotation * in_link).z))
     }
 }
 

@@ -39,6 +39,7 @@ pub use estimates::{
 pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
+use ground::stats::mean;
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
@@ -334,8 +335,7 @@ fn check_explained(rotation: f64, residual: f64) -> EstimateResult<()> {
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value * value, n + 1.0));
-    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
+    mean(values.map(|value| value * value)).sqrt()
 }
 
 struct LinkBuffers {

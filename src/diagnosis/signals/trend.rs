@@ -6,7 +6,7 @@
 //! factors*, J. Res. NBS 87, 1982). For a step, a before/after indicator replaces time.
 
 use crate::Measured;
-use ground::stats::median;
+use ground::stats::{mean, median};
 
 /// Estimate from one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +59,7 @@ pub fn estimate_trend(estimates: &[RunEstimate]) -> Option<Trend> {
         return None;
     }
     // Preserves precision.
-    let origin_s = estimates.iter().map(|one| one.time_s).sum::<f64>() / estimates.len() as f64;
+    let origin_s = mean(estimates.iter().map(|one| one.time_s));
     let times_s: Vec<f64> = estimates.iter().map(|one| one.time_s - origin_s).collect();
     let line = LineFit::fit(&estimates, &times_s)?;
     let step = most_likely_step(&estimates)

@@ -6,7 +6,7 @@ use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
 use crate::samples::sampling::{range_of, row_blocks};
 use crate::{NotObservable, Response};
-use ground::stats::{Measured, quantile};
+use ground::stats::{Measured, mean, quantile};
 use ground::stream::sample_noise;
 
 /// Samples of one joint.
@@ -123,10 +123,9 @@ pub fn diagnose_velocity(
     })
 }
 
+/// Of finite values.
 fn mean_square(values: &[f64]) -> f64 {
-    let finite = values.iter().filter(|value| value.is_finite());
-    let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
-    sum / f64::max(count, 1.0)
+    mean(values.iter().filter(|value| value.is_finite()).map(|value| value * value))
 }
 
 #[derive(Clone, Copy, Debug)]

@@ -15,6 +15,13 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
+/// 0 without values.
+pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
+    let add = |(sum, count): (f64, f64), value: f64| (sum + value, count + 1.0);
+    let (sum, count) = values.into_iter().fold((0.0, 0.0), add);
+    sum / count.max(1.0)
+}
+
 /// The upper one of two middle values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
