@@ -1,7 +1,7 @@
 //! Units, saturation and handedness of an IMU's measurements. The gyro is compared with FK by the median
 //! ratio of their norms, which mount, axis order and signs do not affect.
 
-use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
+use super::{ImuStream, Link, MIN_FIT_SAMPLES, followed_lag_s, rms};
 use crate::UnitResiduals;
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stats::quantile;
@@ -85,10 +85,9 @@ impl ImuConventions {
     pub fn detect(joints: &JointTrack, stream: &ImuStream, max_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
-        let peak = link.peaks(max_lag_s).first().copied();
-        let follows = peak.filter(|peak| peak.correlation > MIN_CORRELATION);
-        let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
-        let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
+        let followed_s = followed_lag_s(&link.peaks(max_lag_s));
+        let lag_s = followed_s.unwrap_or(0.0);
+        let pairs = followed_s.map(|lag_s| link.rate_pairs(lag_s)).unwrap_or_default();
         let plateaus = SaturationLevel::detect_all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();

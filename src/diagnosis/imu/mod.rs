@@ -74,15 +74,16 @@ pub(super) fn diagnose_converted_imu(
 ) -> ImuDiagnosis {
     let link = Link::new(joints, stream, numbers);
     let peaks = link.peaks(max_lag_s);
-    let moves = peaks.first().is_some_and(|peak| peak.correlation > MIN_CORRELATION);
-    let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
+    let followed_s = followed_lag_s(&peaks);
+    let (moves, lag_s) = (followed_s.is_some(), followed_s.unwrap_or(0.0));
     let gyro = link.fit_gyro(lag_s, moves);
+    let by_gyro = gyro.as_ref().ok().filter(|_| moves);
     let orientation = if stream.track.orientation.is_empty() {
         Err(NotObservable::NoOrientation)
     } else {
         // The gyro's delay is independent of the convention and more precise than the speed correlation.
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
-        link.fit_orientation(start, moves, gyro.as_ref().ok().filter(|_| moves))
+        link.fit_orientation(start, moves, by_gyro)
     };
     // If the orientation does not follow the arm, a match of the gyro is coincidence.
     let clock = match (&orientation, &gyro) {
@@ -97,7 +98,6 @@ pub(super) fn diagnose_converted_imu(
         Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
         None => clock.aligned_to(stream),
     };
-    let by_gyro = gyro.as_ref().ok().filter(|_| moves);
     let by_orientation = orientation.as_ref().ok().and_then(|(_, found)| found.link_from_imu);
     let axes_rotation = by_orientation
         .zip(by_gyro)
@@ -255,6 +255,11 @@ impl Clock {
 /// Adds an independent standard error.
 fn widened(measured: Measured, error: f64) -> Measured {
     Measured { std_error: measured.std_error.hypot(error), ..measured }
+}
+
+/// Likeliest lag of an IMU that follows the arm.
+fn followed_lag_s(peaks: &[LagPeak]) -> Option<f64> {
+    peaks.first().filter(|peak| peak.correlation > MIN_CORRELATION).map(|peak| peak.lag_s)
 }
 
 /// Lags with nearly equal correlations, as in repetitive motion.

@@ -1,7 +1,7 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
 use super::conventions::{Alignment, RatePair};
-use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, MIN_CORRELATION, noise_of_axes};
+use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, followed_lag_s, noise_of_axes};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
 use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
@@ -45,11 +45,8 @@ pub fn check_imu_residual(
     let track = diagnosis.conventions.convert(stream.track);
     let stream = &ImuStream { track: &track, ..*stream };
     let link = Link::new(joints, stream, &diagnosis.conventions);
-    let peak = link.peaks(max_lag_s).first().copied()?;
-    if peak.correlation <= MIN_CORRELATION {
-        return None;
-    }
-    let lag_s = diagnosis.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
+    let followed_s = followed_lag_s(&link.peaks(max_lag_s))?;
+    let lag_s = diagnosis.latency_s.as_ref().map_or(followed_s, |latency| latency.value);
     let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
     let delay = Delay { skew, ..link.delay(lag_s) };
     let moving = link.states(link.rows(), delay).filter(|(_, state)| state.moving);
