@@ -74,7 +74,7 @@ impl Link<'_> {
             rate_without_noise: Matrix3::identity(),
             effects: Effects::new(GyroModel::WIDTH),
             moves,
-            clock: Clock::not_observable(&NotObservable::AtRest),
+            skew: Err(NotObservable::AtRest),
         };
         let have = model.windows.len();
         if have < MIN_FIT_SAMPLES {
@@ -116,10 +116,12 @@ impl Link<'_> {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
         }
-        let samples = |late_s: &dyn Fn(f64) -> f64| model.latency_samples(late_s);
-        let latency_profile = self.latency_profile(moves, &model.delay, samples);
+        let latency_s = solved.measure(GyroModel::LATENCY, model.delay.latency_s);
+        let clock = self.clock(moves, &model.delay, [latency_s, model.skew.clone()], |late_s| {
+            model.latency_samples(late_s)
+        });
         Ok(GyroFit {
-            clock: Clock { latency_profile, ..model.clock.clone() },
+            clock,
             delay: model.delay,
             bias: model.bias(&solved, scale_error),
             mount_rad: model.mount(&solved),
@@ -180,7 +182,8 @@ struct GyroModel<'a> {
     rate_without_noise: Matrix3<f64>,
     effects: Effects,
     moves: bool,
-    clock: Clock,
+    /// Before it is omitted.
+    skew: EstimateResult<Measured>,
 }
 
 #[derive(Default)]
@@ -289,14 +292,12 @@ impl GyroModel<'_> {
         }
         free.extend(Self::MOUNT.chain([Self::LATENCY, Self::SKEW]));
         let mut solved = solve(self, &free);
-        let skew = solved.measure(Self::SKEW, self.delay.skew);
+        self.skew = solved.measure(Self::SKEW, self.delay.skew);
         if !solved.is_significant(Self::SKEW, self.delay.skew, SKEW_SIGNIFICANCE) {
             self.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
             solved = solve(self, &free);
         }
-        let latency_s = solved.measure(Self::LATENCY, self.delay.latency_s);
-        self.clock = Clock { latency_s, skew, ..self.clock.clone() };
         solved
     }
 

@@ -440,18 +440,21 @@ impl<'a> Link<'a> {
         }
     }
 
-    /// Latency profile by the samples with an additional latency compensated. There is none at rest.
-    fn latency_profile(
+    /// Clock by these estimates and the samples with an additional latency compensated. Not observable at rest.
+    fn clock(
         &self,
         moves: bool,
         delay: &Delay,
+        [latency_s, skew]: [EstimateResult<Measured>; 2],
         samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
-    ) -> EstimateResult<LatencyProfile> {
+    ) -> Clock {
         if !moves {
-            return Err(NotObservable::AtRest);
+            return Clock::not_observable(&NotObservable::AtRest);
         }
         let (logged, removed_ramp) = (samples(&|_| 0.0), self.stream.removed_ramp);
-        fit_profile(&logged, 1, delay.skew, removed_ramp, |late_s| Some(samples(late_s)))
+        let latency_profile =
+            fit_profile(&logged, 1, delay.skew, removed_ramp, |late_s| Some(samples(late_s)));
+        Clock { latency_s, skew, latency_profile }
     }
 
     /// Evenly thinned rows of the stream.

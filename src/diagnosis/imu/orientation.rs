@@ -58,16 +58,10 @@ impl Link<'_> {
             encoding = estimated.map_or(encoding, |estimated| estimated.0);
         }
         self.check_rotation_explained(&model.delay, &solved.residuals)?;
-        let clock = match moves {
-            true => Clock {
-                latency_s: solved.measure(OrientationModel::LATENCY, model.delay.latency_s),
-                skew: model.skew.clone(),
-                latency_profile: self.latency_profile(moves, &model.delay, |late_s| {
-                    model.latency_samples(&solved, late_s)
-                }),
-            },
-            false => Clock::not_observable(&NotObservable::AtRest),
-        };
+        let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);
+        let clock = self.clock(moves, &model.delay, [latency_s, model.skew.clone()], |late_s| {
+            model.latency_samples(&solved, late_s)
+        });
         let (yaw_error, headings) = model.yaw_error();
         let found = ImuDiagnosis {
             encoding: Ok(encoding),
