@@ -371,7 +371,6 @@ mod tests {
     use super::*;
     use crate::imu::solve::{DesignNoise, Linearization, solve};
     use crate::solver::linear::Linear;
-    use nalgebra::{DMatrix, DVector};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -429,14 +428,12 @@ mod tests {
         }
 
         fn design_noise(&self) -> DesignNoise {
-            let width = self.effects.width();
-            DesignNoise { squares: DMatrix::zeros(width, width), groups: Vec::new() }
+            DesignNoise::zeros(self.effects.width())
         }
 
-        fn apply(&mut self, delta: &DVector<f64>) {
-            (self.offset[0], self.offset[1]) =
-                (self.offset[0] + delta[0], self.offset[1] + delta[1]);
-            self.effects.apply(delta.as_slice());
+        fn apply(&mut self, delta: &[f64]) {
+            self.offset.iter_mut().zip(delta).for_each(|(offset, delta)| *offset += delta);
+            self.effects.apply(delta);
         }
 
         fn effects(&mut self) -> &mut Effects {

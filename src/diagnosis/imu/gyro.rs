@@ -20,7 +20,7 @@ use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::{MeasuredLength, mean};
-use nalgebra::{DVector, Matrix3};
+use nalgebra::Matrix3;
 use std::ops::{Range, RangeInclusive};
 
 const FLOOR_RAD_S: f64 = 1e-6;
@@ -509,13 +509,12 @@ impl Model for GyroModel<'_> {
         noise
     }
 
-    fn apply(&mut self, delta: &DVector<f64>) {
-        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
+    fn apply(&mut self, delta: &[f64]) {
         self.delay.latency_s += delta[Self::LATENCY];
         self.delay.skew += delta[Self::SKEW];
-        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
-        self.bias_rad_s += part(Self::BIAS.start);
-        self.effects.apply(delta.as_slice());
+        self.link_from_imu *= rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::MOUNT]));
+        self.bias_rad_s += Vec3::from_column_slice(&delta[Self::BIAS]);
+        self.effects.apply(delta);
         for (parameter, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
             self.scale_error += unit * delta[parameter];
         }

@@ -466,14 +466,14 @@ impl Model for OrientationModel<'_> {
         noise
     }
 
-    fn apply(&mut self, delta: &DVector<f64>) {
-        let part = |first: usize| Vec3::new(delta[first], delta[first + 1], delta[first + 2]);
+    fn apply(&mut self, delta: &[f64]) {
+        let turn = |own: Range<usize>| rotation_from_rotvec(Vec3::from_column_slice(&delta[own]));
         self.delay.latency_s += delta[Self::LATENCY];
         self.delay.skew += delta[Self::SKEW];
         self.drift_rad_s += delta[Self::DRIFT];
-        self.effects.apply(delta.as_slice());
-        self.world_from_base = rotation_from_rotvec(part(Self::WORLD.start)) * self.world_from_base;
-        self.link_from_imu *= rotation_from_rotvec(part(Self::MOUNT.start));
+        self.effects.apply(delta);
+        self.world_from_base = turn(Self::WORLD) * self.world_from_base;
+        self.link_from_imu *= turn(Self::MOUNT);
     }
 
     fn effects(&mut self) -> &mut Effects {

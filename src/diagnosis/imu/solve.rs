@@ -21,7 +21,7 @@ pub(super) trait Model: Clone {
     fn design_noise(&self) -> DesignNoise;
 
     /// One entry per column of the design.
-    fn apply(&mut self, delta: &DVector<f64>);
+    fn apply(&mut self, delta: &[f64]);
 
     fn effects(&mut self) -> &mut Effects;
 
@@ -114,7 +114,7 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
         let step = Step::new(&linear, &excited, &pull);
         remaining_steps -= 1;
         let largest = free.iter().map(|&at| step.delta[at].abs()).fold(0.0, f64::max);
-        model.apply(&step.delta);
+        model.apply(step.delta.as_slice());
         if remaining_steps == 0 || largest < CONVERGED_STEP {
             return step.solved(&linear, excited);
         }
