@@ -24,6 +24,13 @@ pub fn arm() -> (JointTrack, Chain) {
     (joints, chain)
 }
 
+/// In ±1, with a standard deviation of 1/√3.
+pub fn noise(row: usize) -> f64 {
+    let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
 /// Positions, m, and rotations at these stamps.
 pub fn pose_track(t_s: &[f64], poses: impl IntoIterator<Item = (Vec3, Rotation)>) -> PoseTrack {
     let (xyz, rotations) = poses.into_iter().unzip();

@@ -1,5 +1,6 @@
 use super::line::detect_lines;
 use super::*;
+use crate::test_motion::noise;
 use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use ground::robot::catalogue;
 
@@ -200,11 +201,6 @@ fn a_command_lasts_until_the_next_or_until_the_stream_ends() {
 #[test]
 fn rests_are_detected_in_noise() {
     let (mut joints, ..) = arm();
-    let noise = |row: usize| {
-        let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    };
     for size in [0.0, 2e-5, 5e-4] {
         joints.q.iter_mut().enumerate().for_each(|(row, q)| *q += size * noise(row));
         let found = detect_rests(&joints);

@@ -332,6 +332,7 @@ fn remove_parabola(values: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_motion::noise;
 
     /// 10 s over half a metre, plus `beside` by time and row.
     fn shaken(
@@ -346,12 +347,6 @@ mod tests {
             |row| Vec3::new(work(t_s[row]), beside(t_s[row], row), 0.3 * work(t_s[row])),
             None,
         )
-    }
-
-    fn noise(row: usize) -> f64 {
-        let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
     #[test]

@@ -1,13 +1,7 @@
 use super::*;
+use crate::test_motion::noise;
 
 const RATE_HZ: f64 = 125.0;
-
-/// Hash noise in ±1 with standard deviation 1/√3.
-fn noise(row: usize) -> f64 {
-    let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    (hash >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-}
 
 fn times() -> Vec<f64> {
     (0..1000).map(|row| row as f64 / RATE_HZ).collect()
