@@ -114,23 +114,22 @@ fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
 
 fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
-    if let Some((title, message, fix)) = up.and_then(world) {
-        return Fault {
-            cause: Cause::Pictured(Picture::Tilt),
-            severity,
-            title,
-            message: format!("{message}; roll and pitch are {shown} off gravity"),
-            evidence: Evidence::default(),
-            fix,
-        };
-    }
+    let off = format!("roll and pitch are {shown} off gravity");
+    let (title, message, fix) = match up.and_then(world) {
+        Some((title, message, fix)) => (title, format!("{message}; {off}"), fix),
+        None => (
+            "IMU is tilted",
+            off,
+            "calibrate the accelerometer's bias, or level the IMU's world frame".to_owned(),
+        ),
+    };
     Fault {
         cause: Cause::Pictured(Picture::Tilt),
         severity,
-        title: "IMU is tilted",
-        message: format!("roll and pitch are {shown} off gravity"),
+        title,
+        message,
         evidence: Evidence::default(),
-        fix: "calibrate the accelerometer's bias, or level the IMU's world frame".to_owned(),
+        fix,
     }
 }
 
