@@ -65,7 +65,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         let decision = decide_length(&change.size_rad_s, &threshold, subjects);
         matches!(decision, Decision::Fail(_)).then_some((decision, change))
     });
-    let judged = match changes {
+    let mut judged = match changes {
         Some((decision, change)) if !is_mostly_constant(change) => {
             let outcome = decision.into_outcome(SETTLE, |severity| changed(case, change, severity));
             imu.judged(outcome).estimated(estimate(case, change))
@@ -77,22 +77,16 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
             imu.judged(outcome).estimated(estimate)
         }
     };
-    let judged = match &bias.change {
-        Some(change) => with_change(judged, change),
-        None => judged,
-    };
-    match &bias.scale_error {
-        Some(GyroScaleError { scale, misalignment_rad }) => {
-            let judged = judged.with_evidence("scale", scale.map(measured_json).to_vec());
-            match misalignment_rad {
-                Some(angles) => {
-                    judged.with_evidence("misalignment_rad", angles.map(measured_json).to_vec())
-                }
-                None => judged,
-            }
-        }
-        None => judged,
+    if let Some(change) = &bias.change {
+        judged = with_change(judged, change);
     }
+    if let Some(GyroScaleError { scale, misalignment_rad }) = &bias.scale_error {
+        judged = judged.with_evidence("scale", scale.map(measured_json).to_vec());
+        if let Some(angles) = misalignment_rad {
+            judged = judged.with_evidence("misalignment_rad", angles.map(measured_json).to_vec());
+        }
+    }
+    judged
 }
 
 /// The fault is then the bias, and the change is evidence.
