@@ -5,6 +5,7 @@ use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Picture, Severity, Unit};
+use crate::geometry::Vec3;
 
 rule! {
     /// A gyro has a bias.
@@ -126,17 +127,14 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     let [from, to] =
         [change.before_rad_s, change.after_rad_s].map(|bias| Unit::GyroRate.show(bias.norm()));
     let size = THRESHOLD.unit.show_measured(&change.size_rad_s.norm);
-    let after: [f64; 3] = change.after_rad_s.into();
-    let [x, y, z] = after.map(|rate| format!("{rate:+.4}"));
+    let subtract = subtraction(change.after_rad_s);
     let (title, message, fix) = match change.profile {
         GyroBiasProfile::Step { at_s, .. } => {
             let when = case.evidence.moment(case.evidence.origin.shifted(at_s));
             (
                 "gyro bias changes",
                 format!("gyro bias steps by {size} at {when}, from {from} to {to}"),
-                format!(
-                    "re-estimate the bias after {when}: subtract ({x}, {y}, {z}) rad/s from then on"
-                ),
+                format!("re-estimate the bias after {when}: {subtract} from then on"),
             )
         }
         GyroBiasProfile::WarmUp { time_constant_s } => (
@@ -146,7 +144,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
                  {from} to {to}: warm-up"
             ),
             format!(
-                "power on the IMU {:.0} s before use, then subtract ({x}, {y}, {z}) rad/s",
+                "power on the IMU {:.0} s before use, then {subtract}",
                 (5.0 * time_constant_s).ceil()
             ),
         ),
@@ -161,6 +159,12 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     }
 }
 
+/// Correction of a bias in words.
+fn subtraction(bias_rad_s: Vec3) -> String {
+    let [x, y, z] = <[f64; 3]>::from(bias_rad_s).map(|rate| format!("{rate:+.4}"));
+    format!("subtract ({x}, {y}, {z}) rad/s")
+}
+
 /// Value with its 95 % interval.
 fn measured_json(measured: Measured) -> Value {
     json!({"value": measured.value, "ci95": measured.interval(0.95)})
@@ -168,7 +172,6 @@ fn measured_json(measured: Measured) -> Value {
 
 fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     let vector: [f64; 3] = bias.vector_rad_s.into();
-    let [x, y, z] = vector.map(|rate| format!("{rate:+.4}"));
     let drift = Unit::RadianPerSecond.show(bias.yaw_rate_rad_s);
     let shown = THRESHOLD.unit.show_measured(&bias.length_rad_s.norm);
     let change = bias.change.as_ref().map_or(String::new(), |change| {
@@ -189,7 +192,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
         title: "gyro bias",
         message: format!("gyro reads {shown} at rest{change}"),
         evidence,
-        fix: format!("subtract ({x}, {y}, {z}) rad/s"),
+        fix: subtraction(bias.vector_rad_s),
     }
 }
 
@@ -197,7 +200,6 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, evaluate_rule, length};
-    use crate::geometry::Vec3;
 
     #[test]
     fn a_bias_step_reports_values_and_time() {
