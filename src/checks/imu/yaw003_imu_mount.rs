@@ -155,13 +155,11 @@ fn judge(case: &Case, arm: &ArmEvidence, imu: &StreamEvidence<ImuEvidence>) -> S
         }
     };
     let link = &imu.link;
-    let judged = match imu.diagnosis.link_from_imu {
-        Some(mount) => judged
-            .with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec())
-            .with_evidence("direction_cosines", direction_cosines(&mount, link))
-            .with_evidence("axes", sentences(&mount, link)),
-        None => return judged,
-    };
+    let Some(mount) = imu.diagnosis.link_from_imu else { return judged };
+    let judged = judged
+        .with_evidence("link_from_imu", xyzw_from_rotation(&mount).to_vec())
+        .with_evidence("direction_cosines", direction_cosines(&mount, link))
+        .with_evidence("axes", sentences(&mount, link));
     match &imu.link_from_imu {
         Some(logged) => judged
             .with_evidence("logged_direction_cosines", direction_cosines(logged, link))

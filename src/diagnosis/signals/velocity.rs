@@ -106,10 +106,10 @@ pub fn diagnose_velocity(
     // Noise variance is known to ±50 %. Overlapping windows count once.
     let count = (0.5 * compared).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
-    let [max_window_s, min_window_s] =
+    let [highest, lowest] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
     // The root may be zero as well.
-    let std_error = (max_window_s - value).max(value - min_window_s) / INTERVAL_STD_ERRORS;
+    let std_error = (highest - value).max(value - lowest) / INTERVAL_STD_ERRORS;
     let shape = match value < MIN_RELATIVE_ERROR {
         true => VelocityShape::Rates,
         false => shape(joints, index, &windows, &curve, by_noise * rate_square),
