@@ -46,29 +46,20 @@ pub struct RepeatedValueEvidence {
 /// Grouped by stream.
 pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<NormDefects>>> {
     let tf_topics = tf_topics(&run.streams);
-    let mut streams: Vec<StreamEvidence<Vec<NormDefects>>> = Vec::new();
-    let mut last = None;
-    for norms in &run.norm_defects {
-        let Some(stream) = run.streams.get(norms.stream) else { continue };
-        let is_rotations = match &stream.columns {
-            // Only a pose has a quaternion as four bare numbers.
-            Some(Columns::Array(_)) => stream.role == Role::Pose,
-            // Judged on their own topic.
-            Some(Columns::Poses(_)) => {
-                stream.role != Role::Ignored && !tf_topics.contains(&stream.topic)
-            }
-            _ => true,
-        };
-        if !is_rotations {
-            continue;
+    let has_rotations = |stream: &Stream| match &stream.columns {
+        // Only a pose has a quaternion as four bare numbers.
+        Some(Columns::Array(_)) => stream.role == Role::Pose,
+        // Judged on their own topic.
+        Some(Columns::Poses(_)) => {
+            stream.role != Role::Ignored && !tf_topics.contains(&stream.topic)
         }
-        match streams.last_mut().filter(|_| last == Some(norms.stream)) {
-            Some(known) => known.value.push(norms.clone()),
-            None => streams.push(stream_evidence(run, norms.stream, vec![norms.clone()])),
-        }
-        last = Some(norms.stream);
-    }
-    streams
+        _ => true,
+    };
+    let of_stream = |norms: &[NormDefects]| {
+        let index = norms[0].stream;
+        has_rotations(run.streams.get(index)?).then(|| stream_evidence(run, index, norms.to_vec()))
+    };
+    run.norm_defects.chunk_by(|a, b| a.stream == b.stream).filter_map(of_stream).collect()
 }
 
 pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>> {
