@@ -4,7 +4,7 @@
 use super::{ImuStream, Link, MIN_FIT_SAMPLES, followed_lag_s, rms};
 use crate::UnitResiduals;
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
-use ground::stats::quantile;
+use ground::stats::{median, quantile};
 use ground::stream::{ImuTrack, JointTrack};
 use nalgebra::Matrix3;
 use std::borrow::Cow;
@@ -164,7 +164,7 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     if ratios.len() < MIN_FIT_SAMPLES {
         return None;
     }
-    let ratio = quantile(&mut ratios, 0.5)?;
+    let ratio = median(&mut ratios)?;
     if (ratio.to_radians() - 1.0).abs() > UNIT_TOLERANCE {
         return None;
     }
@@ -276,29 +276,24 @@ fn detect_saturation(
         return None;
     }
     let mount = Alignment::fit(free);
-    let mut by_fk_rad_s = 0.0_f64;
-    let mut is_passed = |plateau: &&SaturationLevel| {
-        let SaturationLevel { axis, extreme: most, at } = plateau;
-        let rates = pairs.iter().filter(|(row, ..)| at[*row]);
+    // With the largest rate by FK.
+    let passed = plateaus.iter().filter_map(|plateau| {
+        let axis = plateau.axis;
+        let rates = pairs.iter().filter(|(row, ..)| plateau.at[*row]);
         let expected =
-            |(_, gyro, rate): &RatePair| mount.expected(rate)[*axis] * gyro[*axis].signum();
+            |(_, gyro, rate): &RatePair| mount.expected(rate)[axis] * gyro[axis].signum();
         let mut faster: Vec<f64> = rates.map(expected).collect();
-        let Some(median) = quantile(&mut faster, 0.5) else { return false };
-        let is_passed = median > MIN_EXPECTED_RATIO * most * factor;
-        if is_passed {
-            by_fk_rad_s = faster.iter().copied().fold(by_fk_rad_s, f64::max);
-        }
-        is_passed
-    };
-    let passed: Vec<&SaturationLevel> =
-        plateaus.iter().filter(|plateau| is_passed(plateau)).collect();
-    let limit = passed.iter().map(|plateau| plateau.extreme).reduce(f64::min)?;
-    let any = (0..rows).filter(|&row| passed.iter().any(|plateau| plateau.at[row])).count();
+        let is_passed = median(&mut faster)? > MIN_EXPECTED_RATIO * plateau.extreme * factor;
+        is_passed.then(|| (plateau, faster.into_iter().fold(0.0, f64::max)))
+    });
+    let passed: Vec<(&SaturationLevel, f64)> = passed.collect();
+    let limit = passed.iter().map(|(plateau, _)| plateau.extreme).reduce(f64::min)?;
+    let any = (0..rows).filter(|&row| passed.iter().any(|(plateau, _)| plateau.at[row])).count();
     Some(GyroSaturation {
         limit_rad_s: limit * factor,
-        axes: passed.iter().map(|plateau| plateau.axis).collect(),
+        axes: passed.iter().map(|(plateau, _)| plateau.axis).collect(),
         share: any as f64 / rows as f64,
-        by_fk_rad_s,
+        by_fk_rad_s: passed.iter().map(|(_, by_fk)| *by_fk).fold(0.0, f64::max),
     })
 }
 
