@@ -235,11 +235,6 @@ impl<'a> LinearizedMotion<'a> {
         (self.sensing.link_m, RAD_PER_M * self.sensing.link_m)
     }
 
-    fn calibration(&self) -> PrecisionQuery {
-        let links = self.zeros_with_links_query(0..0, (LINK_PRIOR_M, LINK_PRIOR_RAD));
-        PrecisionQuery { requested: (0..self.links()).collect(), ..links }
-    }
-
     /// Query of the purpose, and the number of samples that its estimator uses.
     fn query(&self) -> (PrecisionQuery, usize) {
         let joints = self.chain.dof();
@@ -254,7 +249,10 @@ impl<'a> LinearizedMotion<'a> {
                 let zeros = (0..joints).map(|joint| self.zero(joint));
                 (Self::flat_query(zeros.chain(beside), joints), FIT_SAMPLES)
             }
-            Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
+            Purpose::Calibration => {
+                let links = self.zeros_with_links_query(0..0, (LINK_PRIOR_M, LINK_PRIOR_RAD));
+                (PrecisionQuery { requested: (0..self.links()).collect(), ..links }, FIT_SAMPLES)
+            }
             Purpose::Latency => (Self::flat_query(beside, 1), FIT_SAMPLES),
             Purpose::HandEye => (Self::flat_query(0..hand_eye::WIDTH, 6), hand_eye::MAX_FIT_POSES),
             Purpose::Yaw => {
@@ -275,11 +273,11 @@ impl<'a> LinearizedMotion<'a> {
 
     /// Precision of the requested quantities.
     pub fn expected_precisions(&self) -> Vec<ExpectedPrecision> {
-        if self.purpose == Purpose::Calibration {
-            return self.calibrated();
-        }
         let (query, most) = self.query();
         let information = self.information(most);
+        if self.purpose == Purpose::Calibration {
+            return self.calibrated(&query.covariance(&information));
+        }
         let mut found = query.precisions(&information, |at| match self.purpose {
             Purpose::Zeros | Purpose::Calibration => PlannedQuantity::Zero(at),
             Purpose::Latency => PlannedQuantity::Latency,
@@ -306,9 +304,8 @@ impl<'a> LinearizedMotion<'a> {
         found
     }
 
-    /// Tip error along the motion and over the workspace.
-    fn calibrated(&self) -> Vec<ExpectedPrecision> {
-        let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
+    /// Tip error along the motion and over the workspace, given the covariance of the links.
+    fn calibrated(&self, covariance: &DMatrix<f64>) -> Vec<ExpectedPrecision> {
         let everywhere = random_configurations(self.chain, CONFIGURATIONS, RANDOM_SEED);
         let far = tip_derivatives(self.chain, &everywhere);
         let rms = |linear: &Linear, kind: usize| {
@@ -316,7 +313,7 @@ impl<'a> LinearizedMotion<'a> {
             for sample in 0..linear.len() {
                 for row in (3 * kind..3 * kind + 3).map(|row| linear.row(sample, row)) {
                     let row = nalgebra::DVector::from_column_slice(&row[..self.links()]);
-                    sum += row.dot(&(&covariance * &row));
+                    sum += row.dot(&(covariance * &row));
                 }
             }
             (sum / linear.len().max(1) as f64).max(0.0).sqrt()
