@@ -87,13 +87,11 @@ fn orientation_residual(
     let worlds: Vec<Rotation> = link_states.iter().map(world).collect();
     let mean = mean_rotation(&worlds);
     let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
-    let angle: Vec<Vec3> = angle.collect();
-    let t_s: Vec<f64> = link_states.iter().map(|(row, ..)| track.t_s[*row]).collect();
-    let fk = link_states.iter().map(|(_, state)| pose([0.0; 3], state.rotation));
-    let fk: Vec<Pose> = fk.collect();
-    let nothing = vec![Vec3::zeros(); angle.len()];
-    let moves = vec![true; angle.len()];
-    Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
+    let sample =
+        |(row, state): &(usize, LinkState)| (track.t_s[*row], pose([0.0; 3], state.rotation));
+    let (t_s, fk): (Vec<f64>, Vec<Pose>) = link_states.iter().map(sample).unzip();
+    let (nothing, moves) = (vec![Vec3::zeros(); fk.len()], vec![true; fk.len()]);
+    Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle.collect())).error(&moves, false))
 }
 
 /// With the best-fitting mount. `None` if the gyro is always zero.
