@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointSampleKind, LimitViolation, PeakAcceleration,
     VelocityDiagnosis, VelocitySamples, diagnose_velocity, encoder_step, peak_acceleration,
-    position_violation, rates, row_blocks, speed_violation, speed_violation_from_positions,
+    position_violation, range_of, rates, row_blocks, speed_violation,
+    speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointSamples, JointStateCorrection, Run, VelocitySource};
@@ -129,9 +130,7 @@ fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     /// Excess as a share of the range. At or below it the model's limit may be wrong (MOT003's `info`).
     const MAX_SLIGHT_EXCESS: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
-    let finite = position.iter().copied().filter(|position| position.is_finite());
-    let (low, high) =
-        finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+    let [low, high] = range_of(position.iter().copied().filter(|position| position.is_finite()));
     let slight = MAX_SLIGHT_EXCESS * (upper - lower);
     let turns = match () {
         () if low > upper + slight => ((high - upper) / TAU).ceil(),

@@ -28,7 +28,7 @@ pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usi
 }
 
 /// Lowest and highest value; `[∞, −∞]` without values.
-pub(crate) fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
+pub fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let none = [f64::INFINITY, f64::NEG_INFINITY];
     values.into_iter().fold(none, |[low, high], value| [low.min(value), high.max(value)])
 }
