@@ -1,10 +1,10 @@
 use super::fourier::FourierMotion;
 use super::*;
 use crate::diagnose_arm;
-use crate::test_motion::tip_stream;
+use crate::test_motion::{pose_track, tip_stream};
 use ground::geometry::{Vec3, rotation_from_rotvec};
 use ground::robot::{JointKind, Robot, catalogue};
-use ground::stream::{JointTrack, Orientations, PoseTrack};
+use ground::stream::{JointTrack, PoseTrack};
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -245,26 +245,14 @@ fn logged(chain: &Chain, motion: &JointTrack, late_s: f64, zeros: &[f64], seed: 
             sigma * one
         })
     };
-    let mut track = PoseTrack { t_s: Vec::new(), xyz: Vec::new(), ..empty() };
-    let mut rotations = Vec::new();
-    for row in 0..motion.len() {
+    let t_s: Vec<f64> = motion.t_s.iter().map(|t_s| t_s + late_s).collect();
+    let poses = (0..motion.len()).map(|row| {
         let q: Vec<f64> = motion.row(row).iter().zip(zeros).map(|(q, zero)| q + zero).collect();
         let pose = chain.forward(&q);
-        track.t_s.push(motion.t_s[row] + late_s);
-        track.xyz.push(pose.translation.vector + normal(sensing().noise_m));
-        rotations.push(rotation_from_rotvec(normal(sensing().noise_rad)) * pose.rotation);
-    }
-    track.orientation = Orientations::Rotations(rotations);
-    track
-}
-
-fn empty() -> PoseTrack {
-    PoseTrack {
-        t_s: Vec::new(),
-        xyz: Vec::new(),
-        orientation: Orientations::Rotations(Vec::new()),
-        declared: None,
-    }
+        let xyz = pose.translation.vector + normal(sensing().noise_m);
+        (xyz, rotation_from_rotvec(normal(sensing().noise_rad)) * pose.rotation)
+    });
+    pose_track(&t_s, poses)
 }
 
 /// Compares intervals and errors on simulated logs with the predicted precision. The intervals of zeros include link
