@@ -1,8 +1,8 @@
 //! The planning task: joint ranges, clearances and measurements.
 
 use poseaudit::diagnosis::plan::{
-    ArmCapsules, ClearanceViolation, Clearances, ExpectedPrecision, JointMargins, LimitViolation,
-    MotionPlan, PlanRequirements, Purpose, Sensing, TargetVisibility, limit_violations,
+    ClearanceViolation, Clearances, ExpectedPrecision, JointMargins, LimitViolation, MotionPlan,
+    PlanRequirements, Purpose, Sensing, TargetVisibility, limit_violations,
 };
 use poseaudit::finding::Unit;
 use poseaudit::geometry::{Pose, Vec3};
@@ -103,14 +103,8 @@ impl PlanTask {
             target: Vec3::from(target.coords),
             half_rad: args.view.to_radians(),
         });
-        let clearances = Clearances::from_configuration(
-            chain,
-            &around,
-            ArmCapsules { radius_m },
-            args.clear,
-            args.floor,
-            view,
-        );
+        let clearances =
+            Clearances::from_configuration(chain, &around, radius_m, args.clear, args.floor, view);
         let joints = chain.joint_names().iter();
         let link = |name: &String| {
             robot.joint(name).map_or(name.clone(), |joint| robot.link_name(joint.child).to_owned())

@@ -197,7 +197,7 @@ fn write_motion(
 
 fn write_clearances(arm: &PlannedArm, task: &PlanTask, out: &mut dyn Write) -> io::Result<()> {
     let clearances = &task.clearances;
-    let radii = &clearances.body.radius_m;
+    let radii = &clearances.radius_m;
     let (low, high) =
         radii.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), r| (low.min(*r), high.max(*r)));
     let radius_source = match task.has_model_radius.iter().filter(|from_model| **from_model).count()

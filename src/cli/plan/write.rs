@@ -115,7 +115,7 @@ fn header_json(arm: &PlannedArm, task: &PlanTask, motion: &JointTrack) -> Value 
             "outside": sensing.outside, "links_m": sensing.link_m,
         },
         "joints": joints.collect::<Vec<_>>(),
-        "radius_m": task.clearances.body.radius_m, "clear_m": task.clearances.clear_m,
+        "radius_m": task.clearances.radius_m, "clear_m": task.clearances.clear_m,
         "floor_m": task.clearances.floor_m, "tip_box": {"low": low, "high": high},
     })
 }

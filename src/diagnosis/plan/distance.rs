@@ -3,13 +3,6 @@
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 
-/// Capsules between consecutive joint origins, from base to tip.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ArmCapsules {
-    /// Per segment; one more than the joints.
-    pub radius_m: Vec<f64>,
-}
-
 /// Target visibility from a camera in the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetVisibility {
@@ -24,8 +17,8 @@ pub struct TargetVisibility {
 /// Clearances to keep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clearances {
-    /// The arm.
-    pub body: ArmCapsules,
+    /// Per segment, from base to tip; one more than the joints. A segment is a capsule between consecutive joint origins.
+    pub radius_m: Vec<f64>,
     /// Between surfaces.
     pub clear_m: f64,
     /// Floor height in the base.
@@ -58,7 +51,7 @@ impl Clearances {
     pub fn from_configuration(
         chain: &Chain,
         free: &[f64],
-        body: ArmCapsules,
+        radius_m: Vec<f64>,
         clear_m: f64,
         floor_m: Option<f64>,
         view: Option<TargetVisibility>,
@@ -66,11 +59,11 @@ impl Clearances {
         let points = points(chain, free);
         let lengths: Vec<f64> = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
         let mut keep =
-            Self { body, clear_m, floor_m, view, pairs: Vec::new(), heights: Vec::new() };
+            Self { radius_m, clear_m, floor_m, view, pairs: Vec::new(), heights: Vec::new() };
         for j in 2..lengths.len() {
             for i in 0..j - 1 {
                 let path: f64 = lengths[i + 1..j].iter().sum();
-                let thick = keep.body.radius_m[i] + keep.body.radius_m[j];
+                let thick = keep.radius_m[i] + keep.radius_m[j];
                 if path > 2.0 * thick + clear_m {
                     let apart = keep.distance(&points, i, j);
                     keep.pairs.push((i, j, clear_m.min(apart - CONTACT_TOLERANCE_M)));
@@ -87,15 +80,14 @@ impl Clearances {
 
     /// Distance between the surfaces of two segments, m.
     fn distance(&self, points: &[Vec3], i: usize, j: usize) -> f64 {
-        between(&points[i..i + 2], &points[j..j + 2])
-            - (self.body.radius_m[i] + self.body.radius_m[j])
+        between(&points[i..i + 2], &points[j..j + 2]) - (self.radius_m[i] + self.radius_m[j])
     }
 
     /// Lowest point, m; infinite for the fixed first segment.
     fn height(&self, points: &[Vec3], at: usize) -> f64 {
         match at {
             0 => f64::INFINITY,
-            _ => points[at].z.min(points[at + 1].z) - self.body.radius_m[at],
+            _ => points[at].z.min(points[at + 1].z) - self.radius_m[at],
         }
     }
 

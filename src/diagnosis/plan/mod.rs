@@ -17,7 +17,7 @@ mod tests;
 use ground::geometry::Pose;
 use ground::robot::Chain;
 
-pub use distance::{ArmCapsules, ClearanceViolation, Clearances, TargetVisibility};
+pub use distance::{ClearanceViolation, Clearances, TargetVisibility};
 pub use fourier::FourierMotion;
 pub use limits::{JointRange, LimitKind, LimitViolation, joint_ranges, limit_violations};
 pub use precision::{ExpectedPrecision, PlannedQuantity, geometric_mean};

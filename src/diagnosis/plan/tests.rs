@@ -38,8 +38,7 @@ const MARGINS: JointMargins =
 const UR: [f64; 6] = [0.0, -1.57, 1.57, -1.2, -1.57, 0.3];
 
 fn free(chain: &Chain, q: &[f64]) -> Clearances {
-    let radius_m = vec![0.01; chain.dof() + 1];
-    Clearances::from_configuration(chain, q, ArmCapsules { radius_m }, 0.01, None, None)
+    Clearances::from_configuration(chain, q, vec![0.01; chain.dof() + 1], 0.01, None, None)
 }
 
 /// 20 s around [`UR`].
@@ -225,7 +224,7 @@ fn a_configuration_at_its_limits_or_too_close_to_itself_is_infeasible() {
     let keep = Clearances::from_configuration(
         &chain,
         &flat,
-        ArmCapsules { radius_m: vec![0.02; 7] },
+        vec![0.02; 7],
         0.1,
         Some(chain.forward(&flat).translation.vector.z - 0.021),
         None,
