@@ -16,6 +16,7 @@ use super::{
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
 use crate::priors::GYRO_SCALE_PRIOR;
+use crate::samples::sampling::check_sample_count;
 use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
@@ -76,10 +77,7 @@ impl Link<'_> {
             moves,
             skew: Err(NotObservable::AtRest),
         };
-        let have = model.windows.len();
-        if have < MIN_FIT_SAMPLES {
-            return Err(NotObservable::TooFewSamples { have, need: MIN_FIT_SAMPLES });
-        }
+        check_sample_count(model.windows.len(), MIN_FIT_SAMPLES)?;
         model.fit();
         while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;

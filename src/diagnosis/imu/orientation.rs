@@ -19,6 +19,7 @@ use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::LatencySample;
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
+use crate::samples::sampling::check_sample_count;
 use crate::solver::linear::Linear;
 use crate::{
     EncodingEstimate, EstimateResult, HeadingPair, Measured, NotObservable, YawJump, YawProfile,
@@ -114,10 +115,7 @@ impl Link<'_> {
                 decode_nearest(&fit.encoding, &unchanged, &logged, k, &expected, &mut buffer);
             model.samples.extend(decoded.map(|truth| (track.t_s[k], truth)));
         }
-        if model.samples.len() < MIN_FIT_SAMPLES {
-            let have = model.samples.len();
-            return Err(NotObservable::TooFewSamples { have, need: MIN_FIT_SAMPLES });
-        }
+        check_sample_count(model.samples.len(), MIN_FIT_SAMPLES)?;
         model.init_mount(known_mount.unwrap_or_default());
         Ok((estimate, model))
     }

@@ -2,6 +2,7 @@
 
 use super::estimates::UpDirections;
 use super::{BLOCKS, Link, LinkState};
+use crate::samples::sampling::check_sample_count;
 use crate::{EstimateResult, NotObservable};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::MeasuredLength;
@@ -82,9 +83,7 @@ pub(super) fn up([in_world, in_base]: &[Vec<Vec3>; 2]) -> Option<UpDirections> {
 /// Angle between the z axis and the mean force. The standard error comes from the spread over blocks.
 pub(super) fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
-    if n < MIN_SAMPLES {
-        return Err(NotObservable::TooFewSamples { have: n, need: MIN_SAMPLES });
-    }
+    check_sample_count(n, MIN_SAMPLES)?;
     let mean = forces.iter().sum::<Vec3>() / n as f64;
     let gravity = mean.norm();
     if gravity < 1.0 {

@@ -1,5 +1,6 @@
 //! Selects samples of a stream.
 
+use crate::{EstimateResult, NotObservable};
 use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
@@ -10,6 +11,12 @@ use std::ops::Range;
 pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
 
 pub(crate) const ENCODING_SAMPLES: usize = 72;
+
+/// # Errors
+/// If there are too few samples.
+pub(crate) fn check_sample_count(have: usize, need: usize) -> EstimateResult<()> {
+    if have < need { Err(NotObservable::TooFewSamples { have, need }) } else { Ok(()) }
+}
 
 /// Rows of the first or second half (0 or 1) of a series, thinned to about `max_rows`. Blocks alternate between the
 /// halves, so each contains all kinds of motion.

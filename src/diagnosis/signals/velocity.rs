@@ -4,7 +4,7 @@
 
 use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
-use crate::samples::sampling::{range_of, row_blocks};
+use crate::samples::sampling::{check_sample_count, range_of, row_blocks};
 use crate::{NotObservable, Response};
 use ground::stats::{Measured, mean, quantile};
 use ground::stream::sample_noise;
@@ -170,9 +170,7 @@ impl VelocityWindows {
         let known: Vec<usize> = (0..joint.t_s.len().min(joint.velocity.len()))
             .filter(|&row| joint.velocity[row].is_finite() && joint.position[row].is_finite())
             .collect();
-        if known.len() < MIN_WINDOWS {
-            return Err(NotObservable::TooFewSamples { have: known.len(), need: MIN_WINDOWS });
-        }
+        check_sample_count(known.len(), MIN_WINDOWS)?;
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
         let [lowest, highest] = range_of(q.iter().copied());
