@@ -16,7 +16,7 @@ use crate::latency::correlation::LagPeak;
 use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
-use crate::samples::sampling::{MAX_SEARCH_SAMPLES, slow_samples};
+use crate::samples::sampling::{MAX_SEARCH_SAMPLES, check_sample_count, slow_samples};
 use crate::{
     AxesError, EncodingEstimate, EstimateResult, LastTurn, NotObservable, PoseStream, UnitResiduals,
 };
@@ -138,9 +138,7 @@ pub(crate) fn decode_stream<'a>(
         lag_s,
         &read_as.offsets,
     );
-    if observations.len() < 3 {
-        return Err(NotObservable::TooFewSamples { have: observations.len(), need: 3 });
-    }
+    check_sample_count(observations.len(), 3)?;
     let moves = observations.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
         && !peaks.is_empty();
     let axes = Some(interpretation.axes).filter(|axes| *axes != AxesError::NONE);

@@ -10,6 +10,7 @@ use crate::frames::rotation_frames::{
 };
 use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::priors::ZERO_PRIOR;
+use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
@@ -233,10 +234,7 @@ pub(crate) fn estimate_imu_encoding(
     forces: &[Vec3],
     contradicts_gyro: &dyn Fn(&Rotation) -> bool,
 ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-    let need = 3;
-    if samples.fk.len() < need {
-        return Err(NotObservable::TooFewSamples { have: samples.fk.len(), need });
-    }
+    check_sample_count(samples.fk.len(), 3)?;
     let agrees =
         |fit: &EncodingFit| !contradicts_gyro(&fit.tool) && !tilts_gravity(fit, samples, forces);
     let fits = all_fits(samples, &agrees);

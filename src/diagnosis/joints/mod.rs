@@ -16,7 +16,7 @@ use self::slow_samples::{
 use crate::frames::position_fit::{FkColumns, spread};
 use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
 use crate::model::measurement::PoseObservations;
-use crate::samples::sampling::range_of;
+use crate::samples::sampling::{check_sample_count, range_of};
 use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
 pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
@@ -74,10 +74,7 @@ pub(super) fn estimate_joint_encoding(
     let mut at_lags = Vec::new();
     for lag_s in latency_candidates(joints, stream, max_lag_s) {
         let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
-        let have = samples.xyz.len();
-        if have < 6 {
-            return Err(NotObservable::TooFewSamples { have, need: 6 });
-        }
+        check_sample_count(samples.xyz.len(), 6)?;
         if is_at_rest(chain, &samples) {
             return encoding_at_rest(chain, &samples, stream.reference_known);
         }

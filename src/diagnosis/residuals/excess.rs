@@ -5,10 +5,11 @@
 
 use crate::model::jacobian::pose_change;
 use crate::model::measurement::{PoseObservations, StreamState};
+use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::noise::Noise;
-use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
+use crate::{AlignedSamples, EstimateResult, Measured, StreamResidual};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::DVector;
 
@@ -30,10 +31,7 @@ pub(crate) fn excess_residual(
     stream: &StreamState,
     offsets: &[f64],
 ) -> EstimateResult<StreamResidual> {
-    let n = aligned.t_s.len();
-    if n < 8 {
-        return Err(NotObservable::TooFewSamples { have: n, need: 8 });
-    }
+    check_sample_count(aligned.t_s.len(), 8)?;
     let differences = |a: &[Pose], b: &[Pose], tool: &Pose| -> (Vec<Vec3>, Vec<Vec3>) {
         let difference = |(a, b): (&Pose, &Pose)| {
             let [_, turn] = pose_change(b, a);

@@ -12,7 +12,7 @@ use crate::model::measurement::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
 use crate::model::observability::travel;
-use crate::samples::sampling::{FkSequence, as_rotations, rest_speeds};
+use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
@@ -130,13 +130,10 @@ pub fn check_residual(
     diagnosis: &PoseDiagnosis,
 ) -> EstimateResult<ResidualCheck> {
     let logged = align_with_fk(joints, stream, 0.0);
-    let have = logged.t_s.len();
-    if have == 0 {
+    if logged.t_s.is_empty() {
         return Err(NotObservable::NoOverlap);
     }
-    if have < MIN_SAMPLES {
-        return Err(NotObservable::TooFewSamples { have, need: MIN_SAMPLES });
-    }
+    check_sample_count(logged.t_s.len(), MIN_SAMPLES)?;
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
     // The tip rests during null-space motion of a seven-joint arm.
