@@ -217,7 +217,7 @@ fn diagnose_with_hidden_latency(
 
 /// Whether a diagnosis explains the residual of another, or most of it.
 fn is_enough(diagnosis: &ArmDiagnosis, other: &ArmDiagnosis, streams: &[PoseStream]) -> bool {
-    /// Of the residual, as between two interpretations of the joint states.
+    /// Largest share of the residual that may remain, as between two interpretations of the joint states.
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
     diagnosis.is_explained(streams)
         || residual_m(diagnosis) < MAX_RESIDUAL_SHARE * residual_m(other)
@@ -264,8 +264,8 @@ mod tests {
     use ground::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
     use std::f64::consts::FRAC_PI_2;
 
-    /// Of poses with noise. A controller computes its poses from the encoders, with its own calibration; a tracker in an
-    /// unknown world sees where the links are.
+    /// Poses with noise. A controller computes its poses from the encoders, with its own calibration; a tracker in an
+    /// unknown world measures the links.
     fn controller_and_tracker(
         joints: &JointTrack,
         link_m: f64,

@@ -263,7 +263,7 @@ pub struct PoseStream<'a> {
     pub removed_ramp: Option<&'a LatencyRamp>,
     /// Frame of the logged poses, if it moves in the base. `track` is transformed to the base.
     pub moving_frame: Option<&'a MovingFrame>,
-    /// What a turn about the last joint's axis belongs to.
+    /// Cause of a turn about the last joint's axis.
     pub last_turn: LastTurn,
 }
 
@@ -284,10 +284,10 @@ impl<'a> PoseStream<'a> {
     }
 }
 
-/// What a turn about the axis of a chain's last joint belongs to. Poses do not show it; an IMU beyond the joint may.
+/// Cause of a turn about the axis of a chain's last joint. Poses do not show it; an IMU beyond the joint may.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LastTurn {
-    /// Either.
+    /// Joint or tool.
     #[default]
     Unknown,
     /// The joint's zero.
@@ -493,7 +493,7 @@ pub struct PoseDiagnosis {
     pub is_nominal: bool,
     /// Standard deviation of these deviations, m (0.1° per mm).
     pub link_m: Option<f64>,
-    /// Of the link that is displaced most, by these deviations.
+    /// Largest displacement of a link by these deviations.
     pub largest_displacement: Option<LinkDisplacement>,
     /// Whether the poses are FK of the joint states as recorded, whose zeros another stream contradicts.
     pub is_derived: bool,

@@ -40,7 +40,7 @@ pub struct ArmEvidence {
     pub joint_clock: Option<LatencyProfile>,
     /// Latency of one topic of joint states against another, whose name follows.
     pub joint_topic: Option<(StreamEvidence<Measured>, String)>,
-    /// What positions and velocities show of the joint states' stamps.
+    /// Properties of the joint states' stamps, found by positions and velocities.
     pub stamps: JointStamps,
     /// The unit of its positions is unknown: columns of a table, without a model.
     pub has_unknown_units: bool,

@@ -8,7 +8,7 @@ use crate::run::JointSamples;
 use crate::stats::{mean, median};
 use crate::stream::sample_noise;
 
-/// What positions and velocities show of the stamps.
+/// Properties of the stamps, found by positions and velocities.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointStamps {
     /// Rate of stamps that are an even grid, Hz.
@@ -69,11 +69,11 @@ fn even_rate_hz(t_s: &[f64]) -> Option<f64> {
 /// Rows before which all moving joints advance as far as their velocities take them in many rows, while they follow their
 /// velocities in the rows around. With the time that is missing, s.
 fn pauses(joints: &[JointSamples<'_>]) -> Vec<(usize, f64)> {
-    /// Of a moving joint, of its rms speed.
+    /// Smallest speed of a moving joint, relative to its rms speed.
     const MIN_SPEED_SHARE: f64 = 0.2;
-    /// Steps in one.
+    /// Smallest motion of a pause, relative to that of one step.
     const MIN_STEPS: f64 = 5.0;
-    /// Of positions beyond their resolution and noise.
+    /// Smallest jump of positions, relative to their resolution and noise.
     const MIN_ENCODER_STEPS: f64 = 4.0;
     const MIN_NOISE_SIGMAS: f64 = 10.0;
     /// Rows on each side, and the allowed ratio of their motion to their velocities.

@@ -94,7 +94,7 @@ pub(super) struct Effect {
     pub profile: Profile,
     /// Per function of the profile, one value per parameter of the block.
     pub values: Vec<f64>,
-    /// In the design.
+    /// Columns of the design.
     pub columns: Range<usize>,
 }
 
@@ -159,7 +159,7 @@ impl Effects {
         self.own_width..self.end()
     }
 
-    /// Of all effects, and of the increments of a walk.
+    /// Priors of all effects and of the increments of a walk.
     pub fn priors(&self) -> Vec<Prior> {
         let of_effect = |effect: &Effect| {
             let variance = effect.block.prior().powi(2);

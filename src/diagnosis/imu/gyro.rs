@@ -226,7 +226,7 @@ impl GyroModel<'_> {
         self.effects.mount_at(&self.link_from_imu, t_s)
     }
 
-    /// Residual rates in the link frame and angular acceleration by FK.
+    /// Residual rates in the link frame and angular acceleration by FK, with this latency compensated in addition.
     fn latency_samples(&self, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
         /// Long enough to average joint velocity noise, short relative to the motion.
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;

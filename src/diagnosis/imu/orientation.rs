@@ -33,7 +33,7 @@ use std::ops::Range;
 const WHOLE_RUN_S: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 /// To test encodings.
 const ENCODING_SAMPLES: usize = 72;
-/// What may vary over the run.
+/// Effects over the run to test.
 const EFFECTS: [(Block, Shape); 6] = [
     (Block::Yaw, Shape::Step),
     (Block::Yaw, Shape::Heading),
@@ -336,8 +336,7 @@ impl OrientationModel<'_> {
         self.world_from_base = mean_rotation(&worlds);
     }
 
-    /// Residual rotations and angular velocity by FK.
-    /// With this latency compensated in addition to that of the model.
+    /// Residual rotations and angular velocity by FK, with this latency compensated in addition to the model's.
     fn latency_samples(&self, solved: &Solved, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
         let mut buffers = self.link.buffers();
         let samples =

@@ -253,7 +253,7 @@ impl Step {
     }
 }
 
-/// In fixed directions; beyond it a parameter is not observable.
+/// Largest share of an observable parameter in fixed directions.
 const MAX_FIXED_SHARE: f64 = 1e-3;
 
 impl Solved {
