@@ -1,7 +1,7 @@
 //! Identifies the format of a file from its first bytes.
 
 use super::rtde;
-use super::tables::{self, HDF5_MAGIC, NPY_MAGIC};
+use super::tables::{self, HDF5_MAGIC, NPY_MAGIC, TableFormat};
 use super::unpack::ZSTD_MAGIC;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -12,7 +12,7 @@ pub(super) enum FileFormat {
     Zstd,
     /// Table whose first line names RTDE fields.
     Rtde,
-    Table(tables::TableFormat),
+    Table(TableFormat),
     Known {
         /// Name with article.
         looks: &'static str,
@@ -47,10 +47,10 @@ const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
     (b"#ROSBAG V2.0\n", FileFormat::RosBag1),
     (b"SQLite format 3\0", FileFormat::Sqlite),
     (ZSTD_MAGIC, FileFormat::Zstd),
-    (b"PAR1", FileFormat::Table(tables::TableFormat::Parquet)),
-    (HDF5_MAGIC, FileFormat::Table(tables::TableFormat::Hdf5)),
-    (tables::MATLAB_MAGIC, FileFormat::Table(tables::TableFormat::Matlab)),
-    (NPY_MAGIC, FileFormat::Table(tables::TableFormat::Npy)),
+    (b"PAR1", FileFormat::Table(TableFormat::Parquet)),
+    (HDF5_MAGIC, FileFormat::Table(TableFormat::Hdf5)),
+    (tables::MATLAB_MAGIC, FileFormat::Table(TableFormat::Matlab)),
+    (NPY_MAGIC, FileFormat::Table(TableFormat::Npy)),
 ];
 
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
@@ -76,21 +76,21 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
         return FileFormat::Unknown { looks: "an MCAP file truncated within its first 8 bytes" };
     }
     if is_npz(bytes) {
-        return FileFormat::Table(tables::TableFormat::Npz);
+        return FileFormat::Table(TableFormat::Npz);
     }
     if bytes.starts_with(ZIP_MAGIC) && tables::is_zip_store(bytes) {
-        return FileFormat::Table(tables::TableFormat::Zarr);
+        return FileFormat::Table(TableFormat::Zarr);
     }
     if tables::has_record(bytes) {
-        return FileFormat::Table(tables::TableFormat::TfRecord);
+        return FileFormat::Table(TableFormat::TfRecord);
     }
     if bytes.starts_with(ZIP_MAGIC) && tables::is_workbook(bytes) {
-        return FileFormat::Table(tables::TableFormat::Xlsx);
+        return FileFormat::Table(TableFormat::Xlsx);
     }
     // MATLAB 7.3 writes 512 bytes of its own before HDF5.
     let has_hdf5 = |at: usize| bytes.get(at..).is_some_and(|rest| rest.starts_with(HDF5_MAGIC));
     if HDF5_USER_BLOCKS.into_iter().any(has_hdf5) {
-        return FileFormat::Table(tables::TableFormat::Hdf5);
+        return FileFormat::Table(TableFormat::Hdf5);
     }
     if matches!(bytes, [0x80, protocol, ..] if PICKLE_PROTOCOLS.contains(protocol)) {
         return FileFormat::Known { looks: "a Python pickle", instead: FROM_PICKLE };
@@ -100,60 +100,45 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
         return FileFormat::Known { looks, instead };
     }
     let glance = &bytes[..bytes.len().min(GLANCE_BYTES)];
-    let looks = if glance.iter().all(|&byte| byte == 0) {
-        "a file of zeros"
-    } else if tables::is_text(bytes) {
-        match rtde::first_line(bytes) {
-            rtde::FirstLine::Names => return FileFormat::Rtde,
-            rtde::FirstLine::Other if tables::looks_like_json(bytes) => {
-                return FileFormat::Table(tables::TableFormat::Json);
-            }
-            _ if tables::has_packet(glance) => return FileFormat::Table(tables::TableFormat::Rsi),
-            rtde::FirstLine::Other if let Some(kind) = tables::detect_trajectory(bytes) => {
-                return FileFormat::Table(kind);
-            }
-            rtde::FirstLine::Other if tables::is_list_of_times(bytes) => {
-                return FileFormat::Table(tables::TableFormat::Times);
-            }
-            rtde::FirstLine::Other
-                if tables::is_yaml_list(bytes) || tables::is_nested_yaml(bytes) =>
-            {
-                return FileFormat::Table(tables::TableFormat::Yaml);
-            }
-            rtde::FirstLine::Other if tables::is_table(bytes) => {
-                return FileFormat::Table(tables::TableFormat::Csv);
-            }
-            rtde::FirstLine::Other if tables::looks_like_yaml(bytes) => {
-                return FileFormat::Table(tables::TableFormat::Yaml);
-            }
-            rtde::FirstLine::Other if tables::is_table_of_text(bytes) => {
-                "a table of text, not of numbers"
-            }
-            rtde::FirstLine::Other if tables::is_header_alone(bytes) => {
-                return FileFormat::Known {
-                    looks: "a table with column names and no rows",
-                    instead: "check whether the recorder wrote its rows",
-                };
-            }
-            rtde::FirstLine::Other if tables::is_list_of_numbers(bytes) => {
-                return FileFormat::Known {
-                    looks: "a list with one number per line",
-                    instead: "put the columns of one run side by side, as in \
-                              `paste -d, time.txt joint1.txt joint2.txt > run.csv`",
-                };
-            }
-            rtde::FirstLine::Other if tables::is_list_of_pairs(bytes) => {
-                return FileFormat::Known {
-                    looks: "a table with one number besides its times",
-                    instead: "join the tables of one run, so that each joint is a column",
-                };
-            }
-            rtde::FirstLine::Other => "text",
+    match () {
+        () if glance.iter().all(|&byte| byte == 0) => {
+            FileFormat::Unknown { looks: "a file of zeros" }
         }
-    } else {
-        "unknown binary data"
-    };
-    FileFormat::Unknown { looks }
+        () if tables::is_text(bytes) => detect_text(bytes, glance),
+        () => FileFormat::Unknown { looks: "unknown binary data" },
+    }
+}
+
+fn detect_text(bytes: &[u8], glance: &[u8]) -> FileFormat {
+    match () {
+        () if rtde::has_header(bytes) => FileFormat::Rtde,
+        () if tables::looks_like_json(bytes) => FileFormat::Table(TableFormat::Json),
+        () if tables::has_packet(glance) => FileFormat::Table(TableFormat::Rsi),
+        () if let Some(format) = tables::detect_trajectory(bytes) => FileFormat::Table(format),
+        () if tables::is_list_of_times(bytes) => FileFormat::Table(TableFormat::Times),
+        () if tables::is_yaml_list(bytes) || tables::is_nested_yaml(bytes) => {
+            FileFormat::Table(TableFormat::Yaml)
+        }
+        () if tables::is_table(bytes) => FileFormat::Table(TableFormat::Csv),
+        () if tables::looks_like_yaml(bytes) => FileFormat::Table(TableFormat::Yaml),
+        () if tables::is_table_of_text(bytes) => {
+            FileFormat::Unknown { looks: "a table of text, not of numbers" }
+        }
+        () if tables::is_header_alone(bytes) => FileFormat::Known {
+            looks: "a table with column names and no rows",
+            instead: "check whether the recorder wrote its rows",
+        },
+        () if tables::is_list_of_numbers(bytes) => FileFormat::Known {
+            looks: "a list with one number per line",
+            instead: "put the columns of one run side by side, as in \
+                      `paste -d, time.txt joint1.txt joint2.txt > run.csv`",
+        },
+        () if tables::is_list_of_pairs(bytes) => FileFormat::Known {
+            looks: "a table with one number besides its times",
+            instead: "join the tables of one run, so that each joint is a column",
+        },
+        () => FileFormat::Unknown { looks: "text" },
+    }
 }
 
 fn is_npz(bytes: &[u8]) -> bool {

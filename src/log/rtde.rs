@@ -75,13 +75,8 @@ static VECTORS: [Vector; 8] = [
     vector("actual_tool_accelerometer", 3, Meaning::Numbers),
 ];
 
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum FirstLine {
-    Names,
-    Other,
-}
-
-pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
+/// Whether the first line names RTDE fields.
+pub(super) fn has_header(bytes: &[u8]) -> bool {
     let line = header_line(bytes);
     let cells: Vec<&[u8]> = cells(line, delimiter(line)).collect();
     let vector_part = |cell: &&[u8]| {
@@ -92,10 +87,7 @@ pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     let mut known = cells.iter().filter_map(vector_part).peekable();
     // Other tables' rate may be declared by the caller, and another arm has more joints.
     let is_recording = known.peek().is_some() && known.all(|is_within| is_within);
-    match is_recording && cells.contains(&TIMESTAMP.as_bytes()) {
-        true => FirstLine::Names,
-        false => FirstLine::Other,
-    }
+    is_recording && cells.contains(&TIMESTAMP.as_bytes())
 }
 
 fn header_line(bytes: &[u8]) -> &[u8] {
