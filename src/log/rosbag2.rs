@@ -190,7 +190,7 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
         return match files.into_iter().filter(|path| is_bare_table(path)).collect::<Vec<_>>() {
             only if only.len() == 1 => Ok(only.into_iter().map(LogInput::bag_file).collect()),
             _ if let Some(only) = only_table(folder) => Ok(vec![LogInput::bag_file(only)]),
-            _ if contains_logs(folder) => Err(runs()),
+            _ if contains_logs(folder, MAX_FOLDER_DEPTH) => Err(runs()),
             none if none.is_empty() => Err(refuse("without log files")),
             _ => Err(refuse("of tables without times, whose names show no joints or poses")),
         };
@@ -218,18 +218,14 @@ fn is_text_table(path: &Path) -> bool {
 
 /// A table whose columns have no names or no times, or the times of one.
 fn is_bare_table(path: &Path) -> bool {
-    let format = MappedFile::open(path).map(|mapped| file_format::detect_format(mapped.bytes()));
-    let Ok(FileFormat::Table(format)) = format else { return false };
+    let Some(FileFormat::Table(format)) = format_of(path) else { return false };
     matches!(format, TableFormat::Csv | TableFormat::Npy | TableFormat::Times)
         && !is_text_table(path)
 }
 
 /// The only log in the folder, if it is a table. A dataset's folder also holds metadata.
 fn only_table(folder: &Path) -> Option<PathBuf> {
-    let is_table = |path: &PathBuf| {
-        let format = MappedFile::open(path).map(|it| file_format::detect_format(it.bytes()));
-        matches!(format, Ok(FileFormat::Table(_)))
-    };
+    let is_table = |path: &PathBuf| matches!(format_of(path), Some(FileFormat::Table(_)));
     let entries = fs::read_dir(folder).ok()?.flatten();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
     let only = paths.pop().filter(|path| path.is_file() && is_table(path));
@@ -297,41 +293,30 @@ fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Whether the folder or one of its subfolders contains a file that looks like a log.
-fn contains_logs(folder: &Path) -> bool {
-    contains_logs_within(folder, MAX_FOLDER_DEPTH)
-}
-
-fn contains_logs_within(folder: &Path, depth: usize) -> bool {
+/// Whether the folder or one of its subfolders, down to `depth`, contains a file that looks like a log.
+fn contains_logs(folder: &Path, depth: usize) -> bool {
     let is_log = |path: PathBuf| read_head(&path).is_some_and(|head| looks_like_log(&head));
     if files_in(folder).unwrap_or_default().into_iter().any(is_log) {
         return true;
     }
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir());
-    depth > 0 && folders.any(|folder| contains_logs_within(&folder, depth - 1))
+    depth > 0 && folders.any(|folder| contains_logs(&folder, depth - 1))
+}
+
+/// `None` if the file cannot be opened.
+fn format_of(path: &Path) -> Option<FileFormat> {
+    MappedFile::open(path).ok().map(|mapped| file_format::detect_format(mapped.bytes()))
 }
 
 fn is_log(path: &Path) -> bool {
-    MappedFile::open(path).is_ok_and(|mapped| {
-        let kind = file_format::detect_format(mapped.bytes());
-        matches!(
-            kind,
-            FileFormat::Mcap
-                | FileFormat::RosBag1
-                | FileFormat::Sqlite
-                | FileFormat::Zstd
-                | FileFormat::Rtde
-        )
-    })
+    use FileFormat::{Mcap, RosBag1, Rtde, Sqlite, Zstd};
+    matches!(format_of(path), Some(Mcap | RosBag1 | Sqlite | Zstd | Rtde))
 }
 
 /// Whether rosbag2 writes such files.
 fn is_bag_file(path: &Path) -> bool {
-    MappedFile::open(path).is_ok_and(|mapped| {
-        let format = file_format::detect_format(mapped.bytes());
-        matches!(format, FileFormat::Mcap | FileFormat::Sqlite | FileFormat::Zstd)
-    })
+    matches!(format_of(path), Some(FileFormat::Mcap | FileFormat::Sqlite | FileFormat::Zstd))
 }
 
 /// Common name of a recording's files, without extensions and split number.
