@@ -104,10 +104,11 @@ pub(super) fn delimiter(header: &[u8]) -> u8 {
 }
 
 pub(super) fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
-    line.split(move |&byte| byte == delimiter).map(bare)
+    line.split(move |&byte| byte == delimiter).map(unquoted)
 }
 
-fn bare(cell: &[u8]) -> &[u8] {
+/// Without blanks and quotation marks around it.
+pub(super) fn unquoted(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
@@ -120,7 +121,7 @@ fn part(name: &[u8]) -> Option<(&str, usize)> {
 
 /// With `decimal_comma`, `1,5` is one and a half.
 pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
-    let cell = std::str::from_utf8(bare(cell)).ok()?;
+    let cell = std::str::from_utf8(unquoted(cell)).ok()?;
     if decimal_comma && cell.contains(',') {
         return cell.replace(',', ".").parse().ok();
     }
@@ -222,7 +223,9 @@ impl Recording {
                 }
             }
             options.set_position(offset as usize);
-            if std::mem::take(&mut is_first) || record.iter().map(bare).eq(names.iter().copied()) {
+            if std::mem::take(&mut is_first)
+                || record.iter().map(unquoted).eq(names.iter().copied())
+            {
                 continue;
             }
             let is_last = reader.position().byte() >= bytes.len() as u64 && !ends_in_line;
@@ -354,7 +357,7 @@ impl Table {
         let decimal_comma = self.delimiter != b',';
         let value = |column: usize| {
             let cell = record.get(column).unwrap_or_default();
-            if bare(cell).is_empty() {
+            if unquoted(cell).is_empty() {
                 return Ok(f64::NAN);
             }
             // Digits may be missing at the end of the file.
@@ -381,7 +384,7 @@ impl Table {
             let row = &mut self.row[*vector];
             row.clear();
             let is_empty =
-                |column: &usize| bare(record.get(*column).unwrap_or_default()).is_empty();
+                |column: &usize| unquoted(record.get(*column).unwrap_or_default()).is_empty();
             if columns.iter().all(is_empty) {
                 continue;
             }

@@ -14,7 +14,7 @@ use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, file_names,
     labelled_lines, text_encoding, vector_cells,
 };
-use crate::rtde;
+use crate::rtde::{self, unquoted};
 
 const MAX_HEADER_LINES: usize = 200;
 /// Same limit as for RTDE tables.
@@ -153,11 +153,6 @@ pub(super) fn split_cells<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a
     }
 }
 
-fn unquoted(cell: &[u8]) -> &[u8] {
-    let cell = cell.trim_ascii();
-    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
-}
-
 /// Delimiter of the first row of numbers.
 pub(crate) fn delimiter_of_numbers(bytes: &[u8]) -> Option<u8> {
     let mut rows = lines(bytes).map(|(_, _, line)| detect_delimiter(line));
@@ -204,10 +199,7 @@ pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])>
     let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
         let offset = at;
         at += line.len();
-        let is_space = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
-        let start = line.iter().position(|byte| !is_space(byte)).unwrap_or(line.len());
-        let end = line.iter().rposition(|byte| !is_space(byte)).map_or(start, |last| last + 1);
-        (offset, index + 1, &line[start..end])
+        (offset, index + 1, text_rows::trim_line(line))
     });
     all.filter(|(_, _, line)| !line.trim_ascii().is_empty())
 }

@@ -228,7 +228,7 @@ fn prefer_text<'a>(known: &mut Option<&'a [u8]>, other: Option<&'a [u8]>) {
 }
 
 /// Without blanks around it. Tabs stay: they may delimit empty cells.
-fn trim_line(line: &[u8]) -> &[u8] {
+pub(super) fn trim_line(line: &[u8]) -> &[u8] {
     let is_space = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
     let start = line.iter().position(|byte| !is_space(byte)).unwrap_or(line.len());
     let end = line.iter().rposition(|byte| !is_space(byte)).map_or(start, |last| last + 1);

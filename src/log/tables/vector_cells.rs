@@ -2,6 +2,7 @@
 
 use super::csv::{cells, comment, mark_length};
 use super::{MAX_COLUMNS, MAX_WIDTH};
+use crate::rtde;
 
 /// Lines searched for a list.
 const MAX_HEAD_LINES: usize = 50;
@@ -162,8 +163,7 @@ impl VectorLayout {
 }
 
 fn unquoted(cell: &[u8]) -> &[u8] {
-    let cell = cell.trim_ascii();
-    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell).trim_ascii()
+    rtde::unquoted(cell).trim_ascii()
 }
 
 /// Numbers of a list, as text; nested lists are flattened.
