@@ -36,12 +36,8 @@ pub(crate) fn rows_of_numbers(
 impl Table {
     fn rows_of_numbers(&self) -> Vec<Vec<f64>> {
         let cells = self.row_cells();
-        let number = |row: usize, (column, part): (usize, usize)| {
-            let column = &self.columns[column];
-            column.values[row * column.width + part]
-        };
         let row = |row: usize| {
-            let numbers = cells.iter().map(|cell| cell.map_or(0.0, |cell| number(row, cell)));
+            let numbers = cells.iter().map(|cell| cell.map_or(0.0, |cell| self.number(row, cell)));
             numbers.collect()
         };
         (0..self.rows).map(row).collect()

@@ -250,15 +250,8 @@ fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
     if most > MAX_DEGREES {
         return Some("too large for degrees as well: encoder ticks or another unit".to_owned());
     }
-    let reaches = |cell: &&Cell| {
-        let column = &table.columns[cell.column];
-        column
-            .values
-            .iter()
-            .skip(cell.part)
-            .step_by(column.width)
-            .any(|value| value.abs() == RANGE_END_PERCENT)
-    };
+    let reaches =
+        |cell: &&Cell| numbers(table, **cell).any(|value| value.abs() == RANGE_END_PERCENT);
     let is_share =
         most == RANGE_END_PERCENT && cells.iter().filter(reaches).count() >= MIN_JOINTS_AT_END;
     is_share.then(|| "several end at exactly 100, like percentages of a range".to_owned())
@@ -282,13 +275,21 @@ fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
     TableCell { table: 0, at, name, labels: None, is_unidentified: false }
 }
 
+fn numbers(table: &Table, cell: Cell) -> impl Iterator<Item = f64> + Clone {
+    table.columns[cell.column].numbers(cell.part)
+}
+
+/// NaN if the row is missing.
+fn number(table: &Table, row: usize, cell: Cell) -> f64 {
+    table.number(row, (cell.column, cell.part))
+}
+
 /// Measured values change and have fractions.
 fn is_measured(table: &Table, cell: Cell) -> bool {
-    let column = &table.columns[cell.column];
-    let values = || column.values.iter().skip(cell.part).step_by(column.width).copied();
-    let first = values().find(|value| value.is_finite());
-    values().any(|value| value.is_finite() && value.fract() != 0.0)
-        && values().any(|value| value.is_finite() && Some(value) != first)
+    let mut values = numbers(table, cell).filter(|value| value.is_finite());
+    let has_fractions = values.clone().any(|value| value.fract() != 0.0);
+    let first = values.next();
+    has_fractions && values.any(|value| Some(value) != first)
 }
 
 /// Empty if each number is a column.
@@ -560,11 +561,8 @@ fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     /// Share of the rows, and tolerance for rounding to two digits.
     const MIN_UNIT_PERCENT: usize = 95;
     const MAX_NORM_DEVIATION: f64 = 0.03;
-    let value = |row: usize, cell: &Cell| {
-        let column = &table.columns[cell.column];
-        column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
-    };
-    let norm = |row: usize| cells.iter().map(|cell| value(row, cell).powi(2)).sum::<f64>().sqrt();
+    let square = |row: usize, cell: &Cell| number(table, row, *cell).powi(2);
+    let norm = |row: usize| cells.iter().map(|cell| square(row, cell)).sum::<f64>().sqrt();
     let unit = (0..table.rows).filter(|&row| (norm(row) - 1.0).abs() < MAX_NORM_DEVIATION).count();
     100 * unit >= MIN_UNIT_PERCENT * table.rows
 }
@@ -655,10 +653,7 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
 /// They must be much closer to the positions than to their rates, in either unit of angles.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
-    let value = |row: usize, cell: &Cell| {
-        let column = &table.columns[cell.column];
-        column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
-    };
+    let value = |row: usize, cell: &Cell| number(table, row, *cell);
     let (mut to_positions, mut to_rates, mut to_radians) = (0.0, 0.0, 0.0);
     for row in 1..table.rows.saturating_sub(1) {
         let stamps = [row - 1, row + 1].map(|row| clock.stamps.get(row).copied().flatten());
@@ -979,10 +974,7 @@ impl ColumnGroup {
             .iter()
             .zip(names)
             .filter(|(_, name)| !names::is_gripper(&names::split_words(name)));
-        let sizes = arms.flat_map(|(cell, _)| {
-            let column = &table.columns[cell.column];
-            column.values.iter().skip(cell.part).step_by(column.width).map(|value| value.abs())
-        });
+        let sizes = arms.flat_map(|(&cell, _)| numbers(table, cell).map(f64::abs));
         sizes.filter(|size| is_usable(*size)).fold(0.0, f64::max)
     }
 
@@ -1004,10 +996,7 @@ impl ColumnGroup {
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
-        let at = |row: usize, cell: &Cell| {
-            let column = &table.columns[cell.column];
-            column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
-        };
+        let at = |row: usize, cell: &Cell| number(table, row, *cell);
         let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
         let with_losses: Vec<usize> =
             columns.into_iter().filter(|column| table.lost_rows.contains_key(column)).collect();

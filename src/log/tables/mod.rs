@@ -156,6 +156,12 @@ impl Table {
         all.map(|at| if is_text(&at) { None } else { numbers.next() }).collect()
     }
 
+    /// NaN if the row is missing.
+    fn number(&self, row: usize, (column, part): (usize, usize)) -> f64 {
+        let column = &self.columns[column];
+        column.values.get(row * column.width + part).copied().unwrap_or(f64::NAN)
+    }
+
     /// Name of a number in `[columns]` of a config.
     fn cell_name(&self, (column, part): (usize, usize)) -> String {
         let Column { name, width, .. } = &self.columns[column];
@@ -226,6 +232,19 @@ pub(super) struct Column {
     /// Times in text, in billionths, because `f64` rounds stamps since 1970. Empty for other columns; `None`
     /// if a cell is no decimal number.
     pub billionths: Vec<Option<i128>>,
+}
+
+impl Column {
+    /// The numbers at one index of each row.
+    fn numbers(&self, part: usize) -> impl Iterator<Item = f64> + Clone {
+        self.values.iter().skip(part).step_by(self.width).copied()
+    }
+
+    /// Whether a row has a number. False for rows beyond the last one.
+    fn has_numbers(&self, row: usize) -> bool {
+        let own = self.values.get(row * self.width..(row + 1) * self.width);
+        own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
+    }
 }
 
 #[derive(Clone, Copy, Debug)]

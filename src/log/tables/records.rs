@@ -657,11 +657,7 @@ fn topic_names(columns: &[Column], topics: &[String], rows: usize) -> Vec<Vec<St
         if clock::is_time(&column.name) {
             return Vec::new();
         }
-        let has_number = |row: usize| {
-            let own = column.values.get(row * column.width..(row + 1) * column.width);
-            own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
-        };
-        let own = (0..rows.min(topics.len())).filter(|row| has_number(*row));
+        let own = (0..rows.min(topics.len())).filter(|row| column.has_numbers(*row));
         own.map(|row| &topics[row]).collect::<BTreeSet<_>>().into_iter().cloned().collect()
     };
     let found: Vec<Vec<String>> = columns.iter().map(of_column).collect();

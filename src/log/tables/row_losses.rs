@@ -256,11 +256,8 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
     let clocks: Vec<usize> =
         [clock.cell, clock.nanos].into_iter().flatten().map(|(at, _)| at).collect();
     let has_numbers = |row: usize| {
-        let others = table.columns.iter().enumerate().filter(|(at, _)| !clocks.contains(at));
-        others.into_iter().any(|(_, column)| {
-            let own = column.values.get(row * column.width..(row + 1) * column.width);
-            own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
-        })
+        let mut others = table.columns.iter().enumerate().filter(|(at, _)| !clocks.contains(at));
+        others.any(|(_, column)| column.has_numbers(row))
     };
     let is_reported = |row: usize| clocks.iter().any(|at| table.is_lost(*at, row));
     let unstamped = clock.stamps.iter().enumerate().filter(|(_, stamp)| stamp.is_none());

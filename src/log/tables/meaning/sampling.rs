@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{Cell, ColumnGroup, ColumnMeaning};
+use super::{Cell, ColumnGroup, ColumnMeaning, number};
 use crate::tables::Table;
 
 /// Distinct sets of rows that are compared with each other.
@@ -45,12 +45,6 @@ fn count_rows(rows: impl Iterator<Item = bool>) -> usize {
 }
 
 pub(super) fn rows_with_numbers(table: &Table, cells: &[Cell]) -> Vec<bool> {
-    let has_number = |row: usize| {
-        cells.iter().any(|cell| {
-            let column = &table.columns[cell.column];
-            let value = column.values.get(row * column.width + cell.part);
-            value.is_some_and(|value| value.is_finite())
-        })
-    };
+    let has_number = |row: usize| cells.iter().any(|cell| number(table, row, *cell).is_finite());
     (0..table.rows).map(has_number).collect()
 }
