@@ -149,16 +149,8 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     if let Some(name) = &settings.time {
         let missing = || format!("`columns.time` names '{name}', but there is no such column");
         let cell = find_cell(table, name).ok_or_else(|| ClockError::Other(missing()))?;
-        let column = &table.columns[cell.0];
-        let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
-        let own = Column {
-            name: name.clone(),
-            kind: column.kind.clone(),
-            width: 1,
-            values,
-            billionths: column.billionths.clone(),
-            parts: Vec::new(),
-        };
+        let billionths = table.columns[cell.0].billionths.clone();
+        let own = Column { billionths, ..cell_column(table, cell, name.clone()) };
         let clock =
             from_column(cell.0, &own, None).map(|clock| Clock { cell: Some(cell), ..clock });
         return clock.ok_or_else(|| {
@@ -233,18 +225,11 @@ pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>,
         CellTime::SecondsAndNanos(cells) => seconds_and_nanos(table, cells),
         CellTime::Column(cell, unit_s) => {
             let column = &table.columns[cell.0];
-            let exact = table.exact_times.get(&cell);
-            let own = Column {
-                name: table.cell_name(cell),
-                kind: column.kind.clone(),
-                width: 1,
-                values: column.values.iter().skip(cell.1).step_by(column.width).copied().collect(),
-                billionths: match column.width {
-                    1 => column.billionths.clone(),
-                    _ => exact.cloned().unwrap_or_default(),
-                },
-                parts: Vec::new(),
+            let billionths = match column.width {
+                1 => column.billionths.clone(),
+                _ => table.exact_times.get(&cell).cloned().unwrap_or_default(),
             };
+            let own = Column { billionths, ..cell_column(table, cell, table.cell_name(cell)) };
             let clock = from_column(cell.0, &own, unit_s);
             clock.map(|clock| Clock { cell: Some(cell), ..clock })
         }
@@ -343,16 +328,13 @@ fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
 }
 
 fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock> {
-    let [seconds, nanos] = cells.map(|(at, part)| {
-        let column = &table.columns[at];
-        column.values.iter().skip(part).step_by(column.width)
-    });
+    let [seconds, nanos] = cells.map(|(at, part)| table.columns[at].numbers(part));
     let second = NANOS_PER_SECOND as f64;
     let micros = are_micros(seconds.clone(), nanos.clone());
     let unit = if micros { 1e3 } else { 1.0 };
-    let stamp = |(seconds, nanos): (&f64, &f64)| -> Option<i64> {
-        let is_whole = seconds.fract() == 0.0 && (0.0..9e9).contains(seconds);
-        let whole = (is_whole && (0.0..second).contains(nanos)).then_some(*seconds as i64)?;
+    let stamp = |(seconds, nanos): (f64, f64)| -> Option<i64> {
+        let is_whole = seconds.fract() == 0.0 && (0.0..9e9).contains(&seconds);
+        let whole = (is_whole && (0.0..second).contains(&nanos)).then_some(seconds as i64)?;
         whole.checked_mul(NANOS_PER_SECOND)?.checked_add((unit * nanos).round() as i64)
     };
     let stamps: Vec<Option<i64>> = seconds.zip(nanos).map(stamp).collect();
@@ -395,19 +377,16 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
 }
 
 /// Whether fractions of seconds are in microseconds: in nanoseconds, all rows of a second would lie within 1 ms.
-fn are_micros<'a>(
-    seconds: impl Iterator<Item = &'a f64>,
-    nanos: impl Iterator<Item = &'a f64>,
-) -> bool {
+fn are_micros(seconds: impl Iterator<Item = f64>, nanos: impl Iterator<Item = f64>) -> bool {
     const MICROS_PER_SECOND: f64 = 1e6;
     /// Rows may start with each second, so smaller fractions show nothing.
     const MIN_LARGEST: f64 = 0.5 * MICROS_PER_SECOND;
     const MIN_ROWS_PER_SECOND: usize = 2;
     let (mut largest, mut rows, mut changes, mut last) = (0.0_f64, 0, 1, None);
     for (second, fraction) in seconds.zip(nanos) {
-        largest = largest.max(*fraction);
-        changes += usize::from(last.is_some_and(|last| last != *second));
-        last = Some(*second);
+        largest = largest.max(fraction);
+        changes += usize::from(last.is_some_and(|last| last != second));
+        last = Some(second);
         rows += 1;
     }
     (MIN_LARGEST..MICROS_PER_SECOND).contains(&largest) && rows >= MIN_ROWS_PER_SECOND * changes
@@ -457,20 +436,15 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     let columns = table.columns.iter().enumerate();
     for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
-            let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
-            let kind = column.kind.clone();
-            let own = Column { kind, width: 1, values, ..Column::default() };
+            let own = cell_column(table, (at, part), String::new());
             let Some(clock) = from_column(at, &own, None).filter(|_| is_even(&own.values)) else {
                 continue;
-            };
-            let name = match column.width {
-                1 => column.name.clone(),
-                _ => format!("{}[{part}]", column.name),
             };
             alike += 1;
             let is_known =
                 found.iter().any(|(_, _, other)| is_linear_in(&other.values, &own.values));
             if !is_known {
+                let name = table.cell_name((at, part));
                 found.push((name, Clock { cell: Some((at, part)), ..clock }, own));
             }
         }
@@ -520,13 +494,11 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
         return None;
     }
     let clock = |part: usize| {
-        let values: Vec<f64> =
-            column.values.iter().skip(part).step_by(column.width).copied().collect();
-        if !exceed_joints(&values) || !increases_like_times(&values, &column.kind) {
+        let own = cell_column(table, (0, part), String::new());
+        if !exceed_joints(&own.values) || !increases_like_times(&own.values, &own.kind) {
             return None;
         }
         let name = table.cell_name((0, part));
-        let own = Column { kind: column.kind.clone(), width: 1, values, ..Column::default() };
         let clock = from_column(0, &own, None)?;
         let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
         Some(Clock { cell: Some((0, part)), description, unnamed_column: Some(name), ..clock })
@@ -643,6 +615,13 @@ pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
         rate_hz: Some(rate_hz),
         step_s: 1.0 / rate_hz,
     }
+}
+
+/// The numbers of a cell, as a column of this name.
+fn cell_column(table: &Table, (at, part): (usize, usize), name: String) -> Column {
+    let column = &table.columns[at];
+    let (kind, values) = (column.kind.clone(), column.numbers(part).collect());
+    Column { name, kind, width: 1, values, ..Column::default() }
 }
 
 /// `None` if it does not hold times in at least half of the rows. `unit_s` is declared.

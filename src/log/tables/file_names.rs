@@ -93,9 +93,7 @@ impl Table {
         if width < 2 || self.times.is_some() {
             return;
         }
-        let numbers_at = |part: usize| -> Vec<f64> {
-            column.values.iter().skip(part).step_by(width).copied().collect()
-        };
+        let numbers_at = |part: usize| -> Vec<f64> { column.numbers(part).collect() };
         let is_clock = |part: &usize| {
             let own = numbers_at(*part);
             let may_be_short = *part == 0 && !COMPLETE_WIDTHS.contains(&width);
