@@ -94,6 +94,7 @@ pub(super) enum ClockError {
     Other(String),
 }
 
+#[derive(Default)]
 pub(super) struct Clock {
     /// ns.
     pub stamps: Vec<Option<i64>>,
@@ -339,17 +340,12 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     };
     let stamps: Vec<Option<i64>> = seconds.zip(nanos).map(stamp).collect();
     let known: Vec<i64> = stamps.iter().flatten().copied().collect();
-    let steps = || known.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / second);
-    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
-    let back = steps().filter(|step| *step < 0.0).count();
-    let step_s = median(&mut ahead)?;
+    let steps = known.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / second);
+    let (back, step_s) = backward_and_median_step(steps)?;
     // Fractions in another unit never approach a second.
     let is_nanos =
         cells[1].0 != cells[0].0 || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
-    if 100 * back > MAX_BACKWARD_PERCENT * known.len().max(100)
-        || 2 * known.len() < stamps.len()
-        || !is_nanos
-    {
+    if falls_often(back, known.len()) || 2 * known.len() < stamps.len() || !is_nanos {
         return None;
     }
     let name = |at: usize| &table.columns[at].name;
@@ -369,10 +365,8 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         nanos: Some(nanos),
         is_fraction_in_micros: micros,
         description,
-        unnamed_column: None,
-        unit_s: None,
-        rate_hz: None,
         step_s,
+        ..Clock::default()
     })
 }
 
@@ -510,16 +504,25 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
 }
 
 fn why_not_times(column: &Column) -> String {
-    let steps = || column.values.windows(2).map(|pair| pair[1] - pair[0]);
-    let back = steps().filter(|step| *step < 0.0).count();
-    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
-    match median(&mut ahead) {
+    let steps = column.values.windows(2).map(|pair| pair[1] - pair[0]);
+    match backward_and_median_step(steps) {
         None => "its numbers never increase".to_owned(),
-        Some(_) if 100 * back > MAX_BACKWARD_PERCENT * column.values.len().max(100) => {
+        Some((back, _)) if falls_often(back, column.values.len()) => {
             format!("its numbers fall in {back} rows")
         }
-        Some(step) => format!("its numbers increase by {step} per row, in an unknown unit"),
+        Some((_, step)) => format!("its numbers increase by {step} per row, in an unknown unit"),
     }
+}
+
+/// Number of backward steps, and median of the forward ones. `None` without forward steps.
+fn backward_and_median_step(steps: impl Iterator<Item = f64> + Clone) -> Option<(usize, f64)> {
+    let back = steps.clone().filter(|step| *step < 0.0).count();
+    let mut ahead: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+    Some((back, median(&mut ahead)?))
+}
+
+fn falls_often(back: usize, rows: usize) -> bool {
+    100 * back > MAX_BACKWARD_PERCENT * rows.max(100)
 }
 
 /// Whether all steps are positive, and nearly all are near the median, or one to several of the short ones where
@@ -603,17 +606,13 @@ pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     };
     Clock {
         stamps: (0..table.rows).map(stamp).collect(),
-        cell: None,
-        nanos: None,
-        is_fraction_in_micros: false,
         description: format!(
             "stamps generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
              columns"
         ),
-        unnamed_column: None,
-        unit_s: None,
         rate_hz: Some(rate_hz),
         step_s: 1.0 / rate_hz,
+        ..Clock::default()
     }
 }
 
@@ -685,10 +684,8 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
         false => values.iter().copied().filter(|value| value.is_finite()).collect(),
     };
     let steps = || finite.windows(2).map(|pair| pair[1] - pair[0]);
-    let back = steps().filter(|step| *step < 0.0).count();
-    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
-    let step = median(&mut ahead)?;
-    if 100 * back > MAX_BACKWARD_PERCENT * steps().len().max(100) {
+    let (back, step) = backward_and_median_step(steps())?;
+    if falls_often(back, steps().len()) {
         return None;
     }
     let (first, words) = (*finite.first()?, names::split_words(&column.name));
@@ -735,13 +732,10 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
     Some(Clock {
         stamps: values.iter().enumerate().map(nanos).collect(),
         cell: Some((at, 0)),
-        nanos: None,
-        is_fraction_in_micros: false,
         description,
-        unnamed_column: None,
         unit_s: (is_declared || unit != 1.0).then_some(unit),
-        rate_hz: None,
         step_s,
+        ..Clock::default()
     })
 }
 
