@@ -49,7 +49,7 @@ pub(super) fn length_unit_m(name: &str) -> Option<f64> {
 /// Whether a name denotes the base alone, as UR's pendant names the first joint.
 pub(super) fn is_base(name: &str) -> bool {
     let mut words = split_words(name);
-    words.retain(|word| !UNIT_WORDS.contains(&word.as_str()));
+    words.retain(|word| !is_unit(word));
     words == ["base"]
 }
 
@@ -342,27 +342,6 @@ const POSE_WORDS: &[&str] = &[
     "tool",
     "hand",
 ];
-const UNIT_WORDS: &[&str] = &[
-    "m",
-    "mm",
-    "cm",
-    "rad",
-    "rads",
-    "radian",
-    "radians",
-    "deg",
-    "degs",
-    "degree",
-    "degrees",
-    "grad",
-    "grados",
-    "meter",
-    "meters",
-    "metre",
-    "metres",
-    "millimeter",
-    "millimeters",
-];
 /// Units of lengths, m.
 const LENGTH_WORDS: &[(&str, f64)] = &[
     ("m", 1.0),
@@ -389,6 +368,12 @@ const ANGLE_LABELS: &[[&str; 3]] = &[
     ["alpha", "beta", "gamma"],
     ["phi", "theta", "psi"],
 ];
+
+fn is_unit(word: &str) -> bool {
+    RADIAN_WORDS.contains(&word)
+        || DEGREE_WORDS.contains(&word)
+        || LENGTH_WORDS.iter().any(|(own, _)| *own == word)
+}
 
 fn contains_any(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
@@ -489,9 +474,10 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
             words[at] == "d"
                 && words.get(at + 1).is_some_and(|next| JOINT_WORDS.contains(&next.as_str()))
         };
-        [VELOCITY_WORDS, POSITION_WORDS, JOINT_WORDS, UNIT_WORDS, NEUTRAL_WORDS]
+        [VELOCITY_WORDS, POSITION_WORDS, JOINT_WORDS, NEUTRAL_WORDS]
             .iter()
             .any(|known| known.contains(&words[at].as_str()))
+            || is_unit(&words[at])
             || is_differential()
     };
     (0..words.len()).filter(|&at| !is_neutral(at)).map(|at| words[at].clone()).collect()
@@ -560,12 +546,11 @@ pub(super) fn is_pose(words: &[String]) -> bool {
 /// Words before a matrix element, and its row and column: `T_03`, `R[1][2]`.
 pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
     let words = split_words(name);
-    let digits = |word: &String| word.chars().all(|c| c.is_ascii_digit());
-    let first = words.iter().position(digits)?;
+    let first = words.iter().position(|word| is_number(word))?;
     let (stem, cell) = words.split_at(first);
     let text = match cell {
         [both] if both.len() == 2 => both.clone(),
-        [row, column] if row.len() == 1 && column.len() == 1 && digits(column) => {
+        [row, column] if row.len() == 1 && column.len() == 1 && is_number(column) => {
             format!("{row}{column}")
         }
         _ => return None,
@@ -580,8 +565,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
 pub(super) fn without_unit(name: &str) -> &str {
     let bare = name.rsplit_once(['[', '(']).filter(|(_, unit)| {
         let words = split_words(unit);
-        unit.contains('°')
-            || (!words.is_empty() && words.iter().all(|it| UNIT_WORDS.contains(&it.as_str())))
+        unit.contains('°') || (!words.is_empty() && words.iter().all(|it| is_unit(it)))
     });
     bare.map_or(name, |(bare, _)| bare.trim_end())
 }
@@ -644,12 +628,12 @@ pub(super) fn numbers_a_limb(name: &str) -> bool {
 
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     let words = split_words(name);
-    let at = words.iter().rposition(|word| word.chars().all(|c| c.is_ascii_digit()))?;
+    let at = words.iter().rposition(|word| is_number(word))?;
     let number = words[at].parse().ok()?;
     let stem: Vec<String> = words
         .iter()
         .enumerate()
-        .filter(|(other, word)| *other != at && !UNIT_WORDS.contains(&word.as_str()))
+        .filter(|(other, word)| *other != at && !is_unit(word))
         .map(|(_, word)| word.clone())
         .collect();
     Some((stem, number))
@@ -697,7 +681,7 @@ pub(super) fn is_generic(stem: &[String]) -> bool {
         JOINT_WORDS.contains(&word)
             || GENERIC_WORDS.contains(&word)
             || ["left", "right", "l", "r"].contains(&word)
-            || word.chars().all(|c| c.is_ascii_digit())
+            || is_number(word)
     })
 }
 
@@ -801,7 +785,7 @@ fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     let is_of_part = |word: &str| {
         POSITION_WORDS.contains(&word)
             || ROTATION_WORDS.contains(&word)
-            || UNIT_WORDS.contains(&word)
+            || is_unit(word)
             || ["q", "r", "matrix", "mat", "wxyz", "xyzw"].contains(&word)
     };
     words.filter(|word| !is_of_part(word)).cloned().collect()
