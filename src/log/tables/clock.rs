@@ -127,7 +127,7 @@ pub(super) fn is_time(name: &str) -> bool {
     // DROID keeps its stamps in a group of that name.
     let is_below = name.contains('/') && words.contains(&"timestamp".to_owned());
     (is_below || is_unit_alone || last.is_some_and(|word| TIME_WORDS.contains(&word.as_str())))
-        && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
+        && !names::contains_any(&words, EXCLUDED_WORDS)
 }
 
 /// In seconds.
@@ -141,7 +141,7 @@ fn begins_with_time(name: &str) -> bool {
         &["time", "times", "timestamp", "timestamps", "stamp", "stamps", "zeit", "zeitstempel"];
     let words = names::split_words(name);
     words.first().is_some_and(|word| FIRST_WORDS.contains(&word.as_str()))
-        && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
+        && !names::contains_any(&words, EXCLUDED_WORDS)
 }
 
 /// # Errors
@@ -316,8 +316,7 @@ fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     /// Rows that repeat a stamp.
     const MAX_REPEATED_PERCENT: usize = 5;
     let has_word = |clock: &Clock, known: &[&str]| {
-        let words = clock.cell.map(|(at, _)| names::split_words(&table.columns[at].name));
-        words.into_iter().flatten().any(|word| known.contains(&word.as_str()))
+        clock.name(table).is_some_and(|name| names::has_word(name, known))
     };
     clocks.into_iter().min_by_key(|clock| {
         let repeats = clock.repeats();
@@ -420,9 +419,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     }
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
-    let is_counter = |column: &Column| {
-        names::split_words(&column.name).iter().any(|word| COUNTER_WORDS.contains(&word.as_str()))
-    };
+    let is_counter = |column: &Column| names::has_word(&column.name, COUNTER_WORDS);
     let distinct = distinct_rows(table);
     let is_even = |values: &[f64]| {
         increases_evenly(&distinct.iter().map(|&row| values[row]).collect::<Vec<f64>>())

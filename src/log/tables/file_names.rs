@@ -28,8 +28,7 @@ pub(super) fn table_names(paths: &[&Path]) -> HashMap<PathBuf, String> {
 pub(crate) fn are_one_run(paths: &[&Path]) -> Option<bool> {
     let keys: Vec<Vec<String>> = paths.iter().map(|path| without_numbers(path)).collect();
     let sides_of = |is_it: fn(&[String]) -> bool| -> Vec<String> {
-        let is_command =
-            |key: &[String]| key.iter().any(|word| names::COMMAND_WORDS.contains(&word.as_str()));
+        let is_command = |key: &[String]| names::contains_any(key, names::COMMAND_WORDS);
         let own = keys.iter().filter(|key| is_it(key) && !is_command(key));
         own.map(|key| names::arm_prefix(key)).collect()
     };
@@ -59,7 +58,7 @@ fn without_numbers(path: &Path) -> Vec<String> {
 
 /// Words such as `motor` or `hand` occur in the names of any file.
 fn names_content(words: &[String]) -> bool {
-    let has = |known: &[&str]| words.iter().any(|word| known.contains(&word.as_str()));
+    let has = |known: &[&str]| names::contains_any(words, known);
     let is_general = has(&["axis", "axe", "motor", "motors", "servo"]);
     let is_of_tool = has(&["pose", "tcp", "ee", "eef", "effector", "cartesian", "flange"])
         || (has(&["tool"]) && has(&["vector", "position", "pos"]));

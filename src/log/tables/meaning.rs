@@ -840,11 +840,10 @@ fn joint_state_names(table: &Table, column: &str, width: usize) -> Option<Vec<St
 }
 
 fn unit_by_name(words: &[String]) -> Option<AngleUnit> {
-    let has = |known: &[&str]| words.iter().any(|word| known.contains(&word.as_str()));
-    if has(names::DEGREE_WORDS) {
+    if names::contains_any(words, names::DEGREE_WORDS) {
         return Some(AngleUnit::Degree);
     }
-    has(names::RADIAN_WORDS).then_some(AngleUnit::Radian)
+    names::contains_any(words, names::RADIAN_WORDS).then_some(AngleUnit::Radian)
 }
 
 fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
@@ -1076,16 +1075,11 @@ impl ColumnGroup {
                 }
                 // Velocities have the unit of the positions, unless their names or values say otherwise.
                 let in_words = |known: &[&str]| {
-                    let mut words =
-                        velocities.iter().flat_map(|&cell| names::split_words(name(table, cell)));
-                    words.any(|word| known.contains(&word.as_str()))
+                    velocities.iter().any(|&cell| names::has_word(name(table, cell), known))
                 };
                 let is_named = cells.iter().all(|&cell| names::says_degrees(name(table, cell)));
-                let says_rad = |cell: &&Cell| {
-                    names::split_words(name(table, **cell))
-                        .iter()
-                        .any(|word| names::RADIAN_WORDS.contains(&word.as_str()))
-                };
+                let says_rad =
+                    |cell: &&Cell| names::has_word(name(table, **cell), names::RADIAN_WORDS);
                 // `joints_rad` next to `joints_deg`.
                 let is_small = || {
                     let mut positions = joints.joints.iter().flat_map(|joint| &joint.position);

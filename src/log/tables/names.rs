@@ -19,7 +19,7 @@ pub(super) fn is_transition(name: &str) -> bool {
         "success",
         "discount",
     ];
-    split_words(name).iter().any(|word| TRANSITION_WORDS.contains(&word.as_str()))
+    has_word(name, TRANSITION_WORDS)
 }
 
 pub(super) fn is_joints_or_pose(name: &str) -> bool {
@@ -32,7 +32,7 @@ pub(super) const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees", "
 pub(super) const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
 
 pub(super) fn says_degrees(name: &str) -> bool {
-    name.contains('°') || contains_any(&split_words(name), DEGREE_WORDS)
+    name.contains('°') || has_word(name, DEGREE_WORDS)
 }
 
 pub(super) fn singular(word: &str) -> &str {
@@ -375,8 +375,12 @@ fn is_unit(word: &str) -> bool {
         || LENGTH_WORDS.iter().any(|(own, _)| *own == word)
 }
 
-fn contains_any(words: &[String], known: &[&str]) -> bool {
+pub(super) fn contains_any(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
+}
+
+pub(super) fn has_word(name: &str, known: &[&str]) -> bool {
+    contains_any(&split_words(name), known)
 }
 
 /// Velocities or other quantities that are not audited.
@@ -525,7 +529,7 @@ pub(super) fn is_gripper(words: &[String]) -> bool {
 
 /// Whether the name of a gripper denotes its pose, and not its joints.
 pub(super) fn is_pose_of_gripper(name: &str, width: usize) -> bool {
-    let is_whole = matches!(width, 7 | 12 | 16) && contains_any(&split_words(name), &["pose"]);
+    let is_whole = matches!(width, 7 | 12 | 16) && has_word(name, &["pose"]);
     is_whole || pose_part(name, width).is_some()
 }
 
@@ -750,8 +754,7 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     let is_all = |of: &dyn Fn(usize) -> PoseComponent| {
         names.iter().enumerate().all(|(at, name)| has_axis(name, of(at)))
     };
-    let are_named =
-        |known: &[&str]| names.iter().all(|name| contains_any(&split_words(name), known));
+    let are_named = |known: &[&str]| names.iter().all(|name| has_word(name, known));
     let label = |label: usize| is_all(&|at| PoseComponent::Label(label, at));
     match names.len() {
         4 if are_named(&["wxyz"]) => Some(RotationLabels::ScalarFirst),
