@@ -56,6 +56,13 @@ enum ColumnMeaning {
     Unused,
 }
 
+impl ColumnMeaning {
+    /// Joints in the unit of the table, without velocities.
+    fn joints(names: Vec<String>, unnamed: bool) -> Self {
+        Self::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() }
+    }
+}
+
 struct ColumnGroup {
     topic: String,
     cells: Vec<Cell>,
@@ -118,13 +125,7 @@ pub(super) fn identify_topics(
             _ if is_counter => {
                 let topic = table.columns[column].name.clone();
                 let why = "counts rows or episodes, by its name".to_owned();
-                groups.push(ColumnGroup {
-                    topic,
-                    cells: free,
-                    meaning: ColumnMeaning::Unused,
-                    why,
-                    part: None,
-                });
+                groups.push(ColumnGroup::new(topic, free, ColumnMeaning::Unused, why));
             }
             count if count == table.columns[column].width => {
                 groups.push(identify_column(table, &table.columns[column], free));
@@ -350,13 +351,8 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             (false, false) => format!("{home}/{label}"),
         };
         let part = part.map(|part| (home.to_owned(), key, part));
-        groups.push(ColumnGroup {
-            topic,
-            why: describe_origin(table, &cells, "by name"),
-            cells,
-            meaning,
-            part,
-        });
+        let why = describe_origin(table, &cells, "by name");
+        groups.push(ColumnGroup { topic, cells, meaning, why, part });
     }
     let free = |groups: &[ColumnGroup]| -> Vec<Cell> {
         let taken: HashSet<Cell> = groups.iter().flat_map(|group| &group.cells).copied().collect();
@@ -398,18 +394,8 @@ fn group_few_joints(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let group = |(stem, members): (Vec<String>, BTreeMap<usize, Cell>)| {
         let cells: Vec<Cell> = members.values().copied().collect();
         let names = members.keys().map(|number| format!("q{number}")).collect();
-        ColumnGroup {
-            topic: stem.join("_"),
-            why: describe_origin(table, &cells, "by name"),
-            cells,
-            meaning: ColumnMeaning::Joints {
-                names,
-                unnamed: true,
-                lines: Vec::new(),
-                velocities: Vec::new(),
-            },
-            part: None,
-        }
+        let why = describe_origin(table, &cells, "by name");
+        ColumnGroup::new(stem.join("_"), cells, ColumnMeaning::joints(names, true), why)
     };
     families.into_iter().map(group).collect()
 }
@@ -439,13 +425,8 @@ fn group_matrices(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         let cells: Vec<Cell> = members.values().copied().collect();
         let topic = topic_of(home, &stem);
         let part = part.map(|part| (home.to_owned(), names::pose_key_of_stem(&stem), part));
-        Some(ColumnGroup {
-            topic,
-            why: describe_origin(table, &cells, "matrix elements by name"),
-            cells,
-            meaning,
-            part,
-        })
+        let why = describe_origin(table, &cells, "matrix elements by name");
+        Some(ColumnGroup { topic, cells, meaning, why, part })
     });
     made.collect()
 }
@@ -478,75 +459,53 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             continue;
         }
         let cells: Vec<Cell> = members.values().copied().collect();
-        let reason = describe_origin(table, &cells, "by name and number");
-        let topic = topic_of(home, stem);
-        let part = |part: PosePart| Some(((*home).to_owned(), names::pose_key_of_stem(stem), part));
-        if names::is_pose(stem) && matches!(cells.len(), 6 | 7 | 12 | 16) {
-            groups.push(ColumnGroup {
-                topic,
-                cells,
-                meaning: ColumnMeaning::Pose,
-                why: reason,
-                part: None,
-            });
-            continue;
-        }
+        let count = cells.len();
+        let are_joints = names::is_stem_of_joints(stem) && JOINT_COUNTS.contains(&count);
         // ABB logs a quaternion as q1 to q4, Leica as Q0 to Q3. No four joints move like that.
-        let is_quaternion = stem.last().is_some_and(|word| word == "q")
-            && cells.len() == 4
-            && are_unit(table, &cells);
-        if is_quaternion {
-            let part = part(PosePart::Quaternion);
-            groups.push(ColumnGroup {
-                topic,
-                cells,
-                meaning: ColumnMeaning::Numbers,
-                why: reason,
-                part,
-            });
-            continue;
-        }
-        if let Some((_, own)) = names::pose_part(&stem.join("_"), cells.len())
-            && !(names::is_stem_of_joints(stem) && JOINT_COUNTS.contains(&cells.len()))
-        {
-            let meaning = if own == PosePart::Position {
-                ColumnMeaning::Position
-            } else {
-                ColumnMeaning::Numbers
-            };
-            groups.push(ColumnGroup { topic, cells, meaning, why: reason, part: part(own) });
-            continue;
-        }
-        if !names::is_stem_of_joints(stem) || !JOINT_COUNTS.contains(&cells.len()) {
-            continue;
-        }
-        let is_plain = names::is_generic(stem);
-        let side = names::arm_prefix(stem);
-        let own = match logged_names(table, stem, first, cells.len()) {
-            Some(names) => Some(names),
-            None if is_plain => None,
-            None => Some(cells.iter().map(|&cell| name(table, cell).to_owned()).collect()),
+        let is_quaternion =
+            stem.last().is_some_and(|word| word == "q") && count == 4 && are_unit(table, &cells);
+        let (meaning, part) = match names::pose_part(&stem.join("_"), count) {
+            _ if names::is_pose(stem) && matches!(count, 6 | 7 | 12 | 16) => {
+                (ColumnMeaning::Pose, None)
+            }
+            _ if is_quaternion => (ColumnMeaning::Numbers, Some(PosePart::Quaternion)),
+            _ if are_joints => (numbered_joints(table, stem, first, &cells), None),
+            Some((_, PosePart::Position)) => (ColumnMeaning::Position, Some(PosePart::Position)),
+            Some((_, part)) => (ColumnMeaning::Numbers, Some(part)),
+            None => continue,
         };
-        let own = match (stem.join("_").as_str(), cells.len()) {
-            ("actual_q" | "target_q", 6) => Some(UR_JOINTS.map(str::to_owned).to_vec()),
-            _ => own,
-        };
-        let unnamed = own.is_none();
-        let counted = || (1..=cells.len()).map(|number| format!("{side}q{number}")).collect();
-        let names = own.unwrap_or_else(counted);
-        let topic = match home.is_empty() {
+        let topic = match &meaning {
+            ColumnMeaning::Joints { .. } if !home.is_empty() => (*home).to_owned(),
             // `q_d` of libfranka holds desired positions.
-            true if stem.ends_with(&["q".to_owned(), "d".to_owned()]) => {
+            ColumnMeaning::Joints { .. } if stem.ends_with(&["q".to_owned(), "d".to_owned()]) => {
                 format!("{}_command", stem.join("_"))
             }
-            true => stem.join("_"),
-            false => (*home).to_owned(),
+            _ => topic_of(home, stem),
         };
-        let meaning =
-            ColumnMeaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
-        groups.push(ColumnGroup { topic, cells, meaning, why: reason, part: None });
+        let why = describe_origin(table, &cells, "by name and number");
+        let part = part.map(|part| ((*home).to_owned(), names::pose_key_of_stem(stem), part));
+        groups.push(ColumnGroup { topic, cells, meaning, why, part });
     }
     groups
+}
+
+/// Joints with the names of a UR, of the log or of their columns, or counted.
+fn numbered_joints(table: &Table, stem: &[String], first: usize, cells: &[Cell]) -> ColumnMeaning {
+    let of_columns = || cells.iter().map(|&cell| name(table, cell).to_owned()).collect();
+    let known = match (stem.join("_").as_str(), cells.len()) {
+        ("actual_q" | "target_q", 6) => Some(UR_JOINTS.map(str::to_owned).to_vec()),
+        (_, count) => logged_names(table, stem, first, count)
+            .or_else(|| (!names::is_generic(stem)).then(of_columns)),
+    };
+    match known {
+        Some(names) => ColumnMeaning::joints(names, false),
+        None => ColumnMeaning::joints(counted_names(&names::arm_prefix(stem), cells.len()), true),
+    }
+}
+
+/// `left_q1`, `left_q2` and so on.
+fn counted_names(prefix: &str, count: usize) -> Vec<String> {
+    (1..=count).map(|number| format!("{prefix}q{number}")).collect()
 }
 
 /// `rostopic echo -p` writes them next to the positions.
@@ -631,9 +590,8 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
         let why = "desired joint positions: their values follow the joint positions, not the joint \
             velocities";
         let topic = format!("{}_command", velocity_topic(table, &cells));
-        let meaning =
-            ColumnMeaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
-        groups.push(ColumnGroup { topic, cells, meaning, why: why.to_owned(), part: None });
+        let meaning = ColumnMeaning::joints(names, unnamed);
+        groups.push(ColumnGroup::new(topic, cells, meaning, why.to_owned()));
     }
 }
 
@@ -708,18 +666,7 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             (false, _) => home,
         };
         let why = describe_origin(table, &cells, "by joint names");
-        groups.push(ColumnGroup {
-            topic,
-            cells,
-            meaning: ColumnMeaning::Joints {
-                names,
-                unnamed: false,
-                lines: Vec::new(),
-                velocities: Vec::new(),
-            },
-            why,
-            part: None,
-        });
+        groups.push(ColumnGroup::new(topic, cells, ColumnMeaning::joints(names, false), why));
     }
     groups
 }
@@ -727,15 +674,10 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
 fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let words = names::split_words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
-    let joints_of = |names: Vec<String>, unnamed: bool| ColumnMeaning::Joints {
-        names,
-        unnamed,
-        lines: Vec::new(),
-        velocities: Vec::new(),
-    };
     let (meaning, why) = match column.width {
         width if let Some(names) = joint_state_names(table, &column.name, width) => {
-            (joints_of(names, false), "joint positions, named in the same record".to_owned())
+            let why = "joint positions, named in the same record".to_owned();
+            (ColumnMeaning::joints(names, false), why)
         }
         width if names::is_joint_velocities(&words) && JOINT_COUNTS.contains(&width) => {
             (ColumnMeaning::Velocities(unit_by_name(&words)), by_name("joint velocities"))
@@ -747,19 +689,18 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
         {
             (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }
-        6 if names::split_words(&column.name).ends_with(&["actual".into(), "q".into()])
-            || names::split_words(&column.name).ends_with(&["target".into(), "q".into()]) =>
+        6 if words.ends_with(&["actual".into(), "q".into()])
+            || words.ends_with(&["target".into(), "q".into()]) =>
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
-            (joints_of(names, false), by_name("joints of a UR"))
+            (ColumnMeaning::joints(names, false), by_name("joints of a UR"))
         }
         width
             if JOINT_COUNTS.contains(&width)
                 && (names::is_joint_positions(&words) || has_velocities(table, column)) =>
         {
-            let side = names::arm_prefix(&words);
-            let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
-            (joints_of(names, true), by_name("joint positions"))
+            let names = counted_names(&names::arm_prefix(&words), width);
+            (ColumnMeaning::joints(names, true), by_name("joint positions"))
         }
         width @ (6 | 7 | 12 | 16)
             if names::is_pose(&words) || names::is_pose_of_gripper(&column.name, width) =>
@@ -848,13 +789,7 @@ fn unit_by_name(words: &[String]) -> Option<AngleUnit> {
 
 fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let why = format!("its name does not show what these {} numbers are", cells.len());
-    ColumnGroup {
-        topic: column.name.clone(),
-        cells,
-        meaning: ColumnMeaning::Numbers,
-        why,
-        part: None,
-    }
+    ColumnGroup::new(column.name.clone(), cells, ColumnMeaning::Numbers, why)
 }
 
 /// Joins each position with the rotation of the same name, then with one whose name states no frame: `pos_w` and `quat`.
@@ -953,6 +888,10 @@ fn describe_origin(table: &Table, cells: &[Cell], by: &str) -> String {
 }
 
 impl ColumnGroup {
+    fn new(topic: String, cells: Vec<Cell>, meaning: ColumnMeaning, why: String) -> Self {
+        Self { topic, cells, meaning, why, part: None }
+    }
+
     /// With joint velocities.
     fn all_cells(&self) -> impl Iterator<Item = &Cell> {
         let velocities = match &self.meaning {

@@ -1,6 +1,6 @@
 //! Columns selected in the configuration.
 
-use super::{Cell, ColumnGroup, ColumnMeaning};
+use super::{Cell, ColumnGroup, ColumnMeaning, counted_names};
 use crate::tables::{ColumnSelector, ColumnSettings, Table};
 
 pub(super) fn configured_groups(
@@ -39,7 +39,7 @@ fn groups_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<ColumnG
         }
         let meaning = match (key, all.len()) {
             ("joints" | "joint_commands", count) => ColumnMeaning::Joints {
-                names: (1..=count).map(|number| format!("q{number}")).collect(),
+                names: counted_names("", count),
                 unnamed: true,
                 lines: joint_conversions(settings, count)?,
                 velocities: Vec::new(),
@@ -53,7 +53,7 @@ fn groups_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<ColumnG
             }
         };
         let why = format!("`columns.{key}` of the config");
-        groups.push(ColumnGroup { topic: key.to_owned(), cells: all, meaning, why, part: None });
+        groups.push(ColumnGroup::new(key.to_owned(), all, meaning, why));
     }
     Ok(groups)
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use super::{Cell, ColumnGroup, ColumnMeaning};
+use super::{Cell, ColumnGroup, ColumnMeaning, counted_names};
 use crate::tables::Table;
 use crate::tables::clock::CellTime;
 use crate::tables::row_layout::{LayoutGroup, LayoutTime, Meaning, RowLayout};
@@ -81,18 +81,18 @@ impl LayoutColumns {
                 let count = group.joints.len();
                 let lines = unit.map_or(Vec::new(), |unit| vec![[unit.in_rad(), 0.0]; count]);
                 let meaning = ColumnMeaning::Joints {
-                    names: (1..=count).map(|number| format!("q{number}")).collect(),
+                    names: counted_names("", count),
                     unnamed: true,
                     lines,
                     velocities: all_of(&group.velocities),
                 };
-                let (topic, cells) = (group.topic("joints"), all_of(&group.joints));
-                groups.push(ColumnGroup { topic, cells, meaning, why: why(), part: None });
+                let cells = all_of(&group.joints);
+                groups.push(ColumnGroup::new(group.topic("joints"), cells, meaning, why()));
             }
             if group.joints.is_empty() && !group.velocities.is_empty() {
                 let meaning = ColumnMeaning::Velocities(group.velocity_unit);
-                let (topic, cells) = (group.topic("joints"), all_of(&group.velocities));
-                groups.push(ColumnGroup { topic, cells, meaning, why: why(), part: None });
+                let cells = all_of(&group.velocities);
+                groups.push(ColumnGroup::new(group.topic("joints"), cells, meaning, why()));
             }
             if group.has_pose() {
                 let cells = all_of(&group.pose());
@@ -100,8 +100,7 @@ impl LayoutColumns {
                     3 => ColumnMeaning::Position,
                     _ => ColumnMeaning::Pose,
                 };
-                let topic = group.topic("pose");
-                groups.push(ColumnGroup { topic, cells, meaning, why: why(), part: None });
+                groups.push(ColumnGroup::new(group.topic("pose"), cells, meaning, why()));
             }
         }
         groups.extend(self.ignored(table));
@@ -129,7 +128,7 @@ impl LayoutColumns {
                 _ => format!("{}[{}:{}]", column.name, first.part, last.part + 1),
             };
             let why = "`_` in --columns".to_owned();
-            ColumnGroup { topic, cells, meaning: ColumnMeaning::Unused, why, part: None }
+            ColumnGroup::new(topic, cells, ColumnMeaning::Unused, why)
         };
         runs.into_iter().map(group).collect()
     }

@@ -27,12 +27,9 @@ pub(super) fn trajectory_groups(table: &Table) -> Vec<ColumnGroup> {
             others.entry(vector_name(&own.name)).or_default().push(cell);
         }
     }
-    let group = |topic: &str, cells: Vec<Cell>, meaning: ColumnMeaning, why: &str| ColumnGroup {
-        topic: topic.to_owned(),
-        why: describe_origin(table, &cells, why),
-        cells,
-        meaning,
-        part: None,
+    let group = |topic: &str, cells: Vec<Cell>, meaning: ColumnMeaning, why: &str| {
+        let why = describe_origin(table, &cells, why);
+        ColumnGroup::new(topic.to_owned(), cells, meaning, why)
     };
     let pose = group("pose", cells, ColumnMeaning::QuaternionPose, "position and quaternion");
     let unused = others
