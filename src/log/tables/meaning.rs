@@ -175,14 +175,8 @@ pub(super) fn identify_topics(
         topic: name.clone(),
         kind: "unread".to_owned(),
         why: why.clone(),
-        cells: Vec::new(),
-        velocity_cells: Vec::new(),
-        velocities: None,
-        contradiction: None,
-        columns: None,
         rows: table.rows as u64,
-        unstamped: 0,
-        damaged: None,
+        ..TableTopic::default()
     });
     Ok(found.chain(unread).collect())
 }

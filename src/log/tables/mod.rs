@@ -354,6 +354,7 @@ struct TableStream {
     episodes: BTreeSet<usize>,
 }
 
+#[derive(Default)]
 pub(super) struct TableTopic {
     pub topic: String,
     pub kind: String,
