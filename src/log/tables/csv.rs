@@ -389,8 +389,7 @@ fn read_transposed(
     context.memory.reserve(2 * count * rows.len())?;
     let series: Vec<Vec<f64>> = rows.iter().map(parse).collect();
     let values = (0..count).flat_map(|at| series.iter().map(move |own| own[at])).collect();
-    let (name, kind) = (file_names::UNNAMED_COLUMN.to_owned(), "number".to_owned());
-    let column = Column { name, kind, width: series.len(), values, ..Column::default() };
+    let column = Column::untyped(file_names::UNNAMED_COLUMN, series.len(), values);
     Ok(Table { rows: count, columns: vec![column], ..Table::default() })
 }
 
@@ -472,7 +471,6 @@ fn build_table(
         // A stream with fewer rows leaves its cells empty.
         rows == 0 || (finite > 0 && finite >= text_counts[at])
     };
-    let kind = || "number".to_owned();
     let mut made = Table { rows, ..Table::default() };
     let Some(names) = names else {
         let numeric: Vec<&Vec<f64>> =
@@ -492,8 +490,7 @@ fn build_table(
             let what = format!("{} of its {} columns", values.len() - width, values.len());
             made.unread.push((what, "text, not numbers".to_owned()));
         }
-        let name = file_names::UNNAMED_COLUMN.to_owned();
-        made.columns.push(Column { name, kind: kind(), width, values: all, ..Column::default() });
+        made.columns.push(Column::untyped(file_names::UNNAMED_COLUMN, width, all));
         return made;
     };
     let numeric: Vec<bool> = (0..values.len()).map(is_numeric).collect();
@@ -502,8 +499,7 @@ fn build_table(
     {
         let name = if name.is_empty() { format!("column {at}") } else { name };
         if numeric[at] {
-            let (kind, parts) = (kind(), Vec::new());
-            made.columns.push(Column { name, kind, width: 1, parts, values, billionths });
+            made.columns.push(Column { billionths, ..Column::untyped(&name, 1, values) });
             continue;
         }
         made.text_columns.push(at);

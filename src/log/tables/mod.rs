@@ -235,6 +235,12 @@ pub(super) struct Column {
 }
 
 impl Column {
+    /// Numbers of a format that does not declare their type.
+    fn untyped(name: &str, width: usize, values: Vec<f64>) -> Self {
+        let (name, kind) = (name.to_owned(), "number".to_owned());
+        Self { name, kind, width, values, ..Self::default() }
+    }
+
     /// The numbers at one index of each row.
     fn numbers(&self, part: usize) -> impl Iterator<Item = f64> + Clone {
         self.values.iter().skip(part).step_by(self.width).copied()
@@ -589,14 +595,9 @@ impl Tables {
         };
         let billionths: Vec<Option<i128>> = (0..table.rows).map(time).collect();
         let value = |own: &Option<i128>| own.map_or(f64::NAN, |own| own as f64 * 1e-9);
-        table.times = Some(Column {
-            name: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-            kind: "number".to_owned(),
-            width: 1,
-            values: billionths.iter().map(value).collect(),
-            billionths,
-            ..Column::default()
-        });
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let times = Column::untyped(&name, 1, billionths.iter().map(value).collect());
+        table.times = Some(Column { billionths, ..times });
         self.row_times.insert(file, true);
     }
 

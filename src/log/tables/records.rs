@@ -559,9 +559,7 @@ impl Records {
                 return Ok(None);
             }
             None => {
-                let kind = "number".to_owned();
-                let name = name.to_owned();
-                self.columns.push(Column { name, kind, width, ..Column::default() });
+                self.columns.push(Column::untyped(name, width, Vec::new()));
                 self.texts.push((0, String::new()));
                 self.columns.len() - 1
             }

@@ -77,12 +77,8 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         );
     }
     let column = |name: &str, parts: &[&str], values: Vec<f64>| Column {
-        name: name.to_owned(),
-        kind: "number".to_owned(),
-        width: parts.len().max(1),
         parts: parts.iter().map(|part| (*part).to_owned()).collect(),
-        values,
-        ..Column::default()
+        ..Column::untyped(name, parts.len().max(1), values)
     };
     let rows = clock.len();
     let is_there = |values: &[f64]| values.iter().any(|value| value.is_finite());

@@ -201,7 +201,8 @@ impl Example {
                 losses.push(RowLoss { rows: whole, what: what.into() });
                 unread.push((name, format!("{count} numbers, not a multiple of {rows} steps")));
             } else {
-                candidates.push(ReadColumn::complete(column(name, count / rows, values)));
+                let column = Column::untyped(&name, count / rows, values);
+                candidates.push(ReadColumn::complete(column));
             }
         }
         if candidates.len() > MAX_COLUMNS {
@@ -242,7 +243,7 @@ fn step_column<'a>(
             }
         }
     }
-    Some(ReadColumn { column: column(name.to_owned(), width, values), rows, lost, why })
+    Some(ReadColumn { column: Column::untyped(name, width, values), rows, lost, why })
 }
 
 fn table_of_single_steps(
@@ -266,10 +267,6 @@ fn table_of_single_steps(
     table.rate_hz = steps.first().and_then(Example::rate_hz);
     table.unread.extend(unread);
     Ok(table)
-}
-
-fn column(name: String, width: usize, values: Vec<f64>) -> Column {
-    Column { name, kind: "number".to_owned(), width, values, ..Column::default() }
 }
 
 /// Omits features without numbers.

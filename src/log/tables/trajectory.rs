@@ -143,12 +143,7 @@ pub(super) fn read_kitti(
     }
     let lines: Vec<usize> = rows(bytes).map(|(line, _)| line).collect();
     context.memory.reserve(lines.len() + (TUM_COLUMNS.len() + 4) * read.rows)?;
-    let mut columns = TUM_COLUMNS.map(|name| Column {
-        name: name.to_owned(),
-        kind: "number".to_owned(),
-        width: 1,
-        ..Column::default()
-    });
+    let mut columns = TUM_COLUMNS.map(|name| Column::untyped(name, 1, Vec::new()));
     let mut table = Table::default();
     let mut malformed: Option<(usize, usize)> = None;
     for (row, &line) in read.lines.iter().enumerate() {
