@@ -48,8 +48,7 @@ pub(super) struct AssembledRows {
 impl ChunkGrid {
     /// `None` on overflow.
     pub fn chunk_bytes(&self) -> Option<usize> {
-        let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        count?.checked_mul(self.kind.size())
+        checked_product(&self.chunks)?.checked_mul(self.kind.size())
     }
 }
 
@@ -114,7 +113,7 @@ impl<'a> ChunkAssembly<'a> {
         let band = first.checked_sub(self.rows.start / self.grid.chunks[0])?;
         let is_there = rest.len() == self.inner.len()
             && rest.iter().zip(&self.inner).all(|(at, side)| at < side);
-        let cell = rest.iter().zip(&self.inner).fold(0, |all, (at, side)| all * side + at);
+        let cell = row_major_index(rest, &self.inner);
         let wide: usize = self.inner.iter().product();
         let number = band.checked_mul(wide)?.checked_add(cell)?;
         (is_there && number < self.states.len()).then_some(number)
@@ -143,12 +142,8 @@ impl<'a> ChunkAssembly<'a> {
             if at.iter().zip(inner).any(|(at, side)| at >= side) {
                 continue;
             }
-            let column = at.iter().zip(inner).fold(0, |all, (at, side)| all * side + at);
-            let back: usize = at_in_chunk
-                .iter()
-                .rev()
-                .zip(own.iter().rev())
-                .fold(0, |all, (at, side)| all * side + at);
+            let column = row_major_index(&at, inner);
+            let back = column_major_index(part, own);
             for row in rows.clone() {
                 let deeper = row - first * deep;
                 let element =
@@ -222,8 +217,23 @@ impl<'a> ChunkAssembly<'a> {
     }
 }
 
+/// `None` on overflow.
+pub(super) fn checked_product(sides: &[usize]) -> Option<usize> {
+    sides.iter().try_fold(1, |all: usize, side| all.checked_mul(*side))
+}
+
+fn row_major_index(places: &[usize], sides: &[usize]) -> usize {
+    places.iter().zip(sides).fold(0, |all, (at, side)| all * side + at)
+}
+
+/// `number` is the row-major index.
+pub(super) fn column_major_index(number: usize, sides: &[usize]) -> usize {
+    let places = unravel_index(number, sides);
+    places.iter().rev().zip(sides.iter().rev()).fold(0, |all, (at, side)| all * side + at)
+}
+
 /// The last index varies fastest.
-pub(super) fn unravel_index(number: usize, sides: &[usize]) -> Vec<usize> {
+fn unravel_index(number: usize, sides: &[usize]) -> Vec<usize> {
     let mut rest = number;
     let mut places: Vec<usize> = sides
         .iter()

@@ -9,7 +9,7 @@ use hdf5_reader::{
     Attribute, ByteOrder, Dataset, Datatype, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
 };
 
-use super::chunks::{ChunkAssembly, ChunkGrid};
+use super::chunks::{ChunkAssembly, ChunkGrid, checked_product};
 use super::npy;
 use super::row_losses::may_be_clock;
 use super::{
@@ -241,8 +241,7 @@ impl<'a> DataSetColumn<'a> {
         if inner.len() > 1 && !kind.starts_with("float") {
             return None;
         }
-        let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let width = width.filter(|width| (1..=MAX_WIDTH).contains(width))?;
+        let width = checked_product(inner).filter(|width| (1..=MAX_WIDTH).contains(width))?;
         rows.checked_mul(width).filter(|count| *count > 0)?;
         let column = Column { name: name.to_owned(), kind, width, ..Column::default() };
         Some(Self { dataset, column, shape, rows: *rows, is_on_side })

@@ -11,6 +11,7 @@ use std::io::Read;
 use flate2::read::ZlibDecoder;
 
 use self::elements::{ElementArray, ElementArrays};
+use super::chunks::checked_product;
 use super::npy::{ElementType, RawArray, tables_of_arrays};
 use super::{Episodes, MAX_COLUMNS, MAX_DEPTH, ReadContext, TableError, rate_of_scalars};
 use crate::memory_budget::MemoryBudget;
@@ -167,8 +168,7 @@ impl Variables {
             "" => String::from_utf8_lossy(own).into_owned(),
             path => path.to_owned(),
         };
-        let count = sides.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let count = count.unwrap_or(usize::MAX);
+        let count = checked_product(&sides).unwrap_or(usize::MAX);
         let class = flags & 0xff;
         let is_several = class == CELL || (class == STRUCT && count > 1);
         let why = match class {

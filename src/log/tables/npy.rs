@@ -4,7 +4,7 @@
 
 use std::io::{Cursor, Read};
 
-use super::chunks::unravel_index;
+use super::chunks::{checked_product, column_major_index};
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, RowCounts, Table,
     TableError, is_transposed, rate_of_scalars, row_counts,
@@ -240,8 +240,7 @@ fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u
 
 impl Header {
     fn bytes(&self) -> Option<usize> {
-        let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        count?.checked_mul(self.row_bytes)
+        checked_product(&self.shape)?.checked_mul(self.row_bytes)
     }
 
     fn is_scalar(&self) -> bool {
@@ -280,7 +279,7 @@ impl<'a> NpyArray<'a> {
             header.is_fortran = !header.is_fortran;
         }
         let rows = *header.shape.first().ok_or("it is a single number")?;
-        let inner = header.shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        let inner = checked_product(&header.shape[1..]);
         let sides = || {
             let sides: Vec<String> = header.shape[1..].iter().map(usize::to_string).collect();
             format!(
@@ -342,20 +341,6 @@ impl<'a> NpyArray<'a> {
         });
         Ok(columns.collect())
     }
-}
-
-/// `part` is the row-major index.
-fn column_major_index(part: usize, sides: &[usize]) -> usize {
-    let mut step = 1;
-    unravel_index(part, sides)
-        .iter()
-        .zip(sides)
-        .map(|(place, side)| {
-            let at = place * step;
-            step *= side;
-            at
-        })
-        .sum()
 }
 
 /// Returns the header and the bytes after it.

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::codec::Codec;
 use super::store::ZarrStore;
 use crate::memory_budget::MemoryBudget;
-use crate::tables::chunks::{AssembledRows, ChunkAssembly, ChunkGrid};
+use crate::tables::chunks::{AssembledRows, ChunkAssembly, ChunkGrid, checked_product};
 use crate::tables::npy::ElementType;
 use crate::tables::{MAX_WIDTH, TableError, names};
 
@@ -56,9 +56,8 @@ impl ZarrArray {
     /// Numbers per row; `None` for images.
     pub fn width(&self) -> Option<usize> {
         let inner = &self.grid.shape[1..];
-        let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         let is_image = inner.len() > 1 && !self.grid.kind.is_float();
-        width.filter(|width| (1..=MAX_WIDTH).contains(width) && !is_image)
+        checked_product(inner).filter(|width| (1..=MAX_WIDTH).contains(width) && !is_image)
     }
 
     pub fn kind(&self) -> String {
