@@ -14,8 +14,8 @@ use super::npy;
 use super::row_losses::may_be_clock;
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH,
-    ReadColumn, ReadContext, RowLoss, Table, TableError, is_transposed, most_frequent_rows, names,
-    rate_by_name, rate_in, row_counts,
+    ReadColumn, ReadContext, RowLoss, Table, TableError, first_line, is_transposed,
+    most_frequent_rows, names, rate_by_name, rate_in, row_counts,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -412,8 +412,7 @@ fn rate_of(group: &Group) -> Option<f64> {
 }
 
 fn read_error(error: &hdf5_reader::error::Error) -> TableError {
-    let text = error.to_string();
-    let line = text.lines().next().unwrap_or_default();
+    let line = first_line(error);
     // LZF of h5py, or filters from plugins.
     let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
     format!("the HDF5 file cannot be read: {line}{advice}").into()

@@ -75,6 +75,7 @@ pub(super) use self::records::{
 };
 pub(super) use self::rlds::metadata_files as declared_beside;
 pub(crate) use self::row_layout::{LayoutGroup, LayoutTime};
+use self::row_losses::first_line;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::text_encoding::{is_text, to_utf8};

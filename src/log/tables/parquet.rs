@@ -25,7 +25,7 @@ use super::lerobot::Dataset;
 use super::pages::{self, PageHeader};
 use super::{
     Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, ReadColumn, ReadContext, RowLoss,
-    Table, TableError, most_frequent,
+    Table, TableError, first_line, most_frequent,
 };
 use crate::memory_budget::MemoryBudget;
 use ground::boundary::catch_panic;
@@ -684,7 +684,5 @@ impl LeafValues {
 }
 
 fn read_error(error: &ParquetError) -> TableError {
-    let text = error.to_string();
-    let line = text.lines().next().unwrap_or_default();
-    format!("the Parquet file cannot be read: {line}").into()
+    format!("the Parquet file cannot be read: {}", first_line(error)).into()
 }

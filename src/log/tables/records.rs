@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use super::csv::{decimal_billionths, text_number};
 use super::{
     Column, ColumnSettings, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_PARAMETERS, MAX_WIDTH,
-    ReadContext, Table, TableError, clock, most_frequent, rate_in,
+    ReadContext, Table, TableError, clock, first_line, most_frequent, rate_in,
 };
 use crate::Extent;
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
@@ -264,14 +264,13 @@ pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
         }
     }
     documents.retain(|document| !document.trim().is_empty());
-    let parse = |document: &String| parse_yaml(document);
     if let [only] = documents.as_slice() {
-        return read_document(&parse(only)?, context);
+        return read_document(&parse_yaml(only)?, context);
     }
     let mut records = Records::default();
     let mut malformed: Option<(u64, String)> = None;
     for document in &documents {
-        match parse(document) {
+        match parse_yaml(document) {
             Ok(value) => records.push(&value, context.memory)?,
             // The last one may be cut.
             Err(error) => malformed.get_or_insert((0, error.to_string())).0 += 1,
@@ -292,11 +291,8 @@ fn parse_yaml(document: &str) -> Result<Value, TableError> {
         max_total_scalar_bytes: nodes,
     };
     let options = serde_saphyr::options! { budget: budget };
-    serde_saphyr::from_str_with_options(document, options).map_err(|error| {
-        let text = error.to_string();
-        let line = text.lines().next().unwrap_or_default();
-        format!("the YAML cannot be read: {line}").into()
-    })
+    serde_saphyr::from_str_with_options(document, options)
+        .map_err(|error| format!("the YAML cannot be read: {}", first_line(&error)).into())
 }
 
 fn check_memory(bytes: usize, memory: &MemoryBudget) -> Result<(), OutOfMemory> {

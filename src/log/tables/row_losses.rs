@@ -72,6 +72,11 @@ impl From<OutOfMemory> for TableError {
     }
 }
 
+/// First line of an error's text.
+pub(super) fn first_line(error: &dyn std::fmt::Display) -> String {
+    error.to_string().lines().next().unwrap_or_default().to_owned()
+}
+
 /// Rows of a column, or a whole column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RowLoss {

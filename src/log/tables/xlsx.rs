@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::io::{Cursor, Read, copy, sink};
 
-use calamine::{DataRef, ExcelDateTime, Reader, Xlsx, XlsxError};
+use calamine::{DataRef, ExcelDateTime, Reader, Xlsx};
 
-use super::{Episodes, MAX_COLUMNS, ReadContext, TableError, csv};
+use super::{Episodes, MAX_COLUMNS, ReadContext, TableError, csv, first_line};
 use crate::memory_budget::MemoryBudget;
 
 /// 1970-01-01 in days of Excel.
@@ -49,24 +49,19 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     Ok(found)
 }
 
-fn refusal(error: &XlsxError) -> TableError {
-    let text = error.to_string();
-    format!("the workbook cannot be read: {}", text.lines().next().unwrap_or_default()).into()
+fn refusal(error: &dyn std::fmt::Display) -> TableError {
+    format!("the workbook cannot be read: {}", first_line(error)).into()
 }
 
 /// Unpacks every member once: a few kilobytes can declare any size.
 fn check_size(bytes: &[u8], memory: &MemoryBudget) -> Result<(), TableError> {
-    let unreadable = |error: &dyn std::fmt::Display| -> TableError {
-        format!("the workbook cannot be read: {error}").into()
-    };
-    let mut archive =
-        zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| unreadable(&error))?;
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| refusal(&error))?;
     let most = memory.remaining();
     let mut unpacked = 0;
     for index in 0..archive.len() {
-        let mut member = archive.by_index(index).map_err(|error| unreadable(&error))?;
+        let mut member = archive.by_index(index).map_err(|error| refusal(&error))?;
         let mut limited = member.by_ref().take(most.saturating_sub(unpacked).saturating_add(1));
-        unpacked += copy(&mut limited, &mut sink()).map_err(|error| unreadable(&error))?;
+        unpacked += copy(&mut limited, &mut sink()).map_err(|error| refusal(&error))?;
         memory.check_available(unpacked)?;
     }
     Ok(())

@@ -5,7 +5,7 @@ use std::io::Read;
 use serde_json::Value;
 
 use super::blosc;
-use crate::tables::TableError;
+use crate::tables::{TableError, first_line};
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Codec {
@@ -84,6 +84,5 @@ fn too_long(length: usize, most: usize) -> TableError {
 
 #[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]
 pub(super) fn codec_error(error: std::io::Error) -> TableError {
-    let text = error.to_string();
-    format!("a chunk cannot be unpacked: {}", text.lines().next().unwrap_or_default()).into()
+    format!("a chunk cannot be unpacked: {}", first_line(&error)).into()
 }
