@@ -61,8 +61,25 @@ pub enum Meaning {
     Vendor(&'static str),
 }
 
-const AXES: [&str; 3] = ["x", "y", "z"];
-const QUATERNION_PARTS: [&str; 4] = ["qx", "qy", "qz", "qw"];
+/// Meanings other than rotations in a known convention and makers.
+const NAMES: [(&str, Meaning); 16] = [
+    ("_", Meaning::Ignored),
+    ("?", Meaning::Open),
+    ("t", Meaning::Time),
+    ("s", Meaning::Seconds),
+    ("ns", Meaning::Nanoseconds),
+    ("q", Meaning::Joints),
+    ("qd", Meaning::JointVelocities),
+    ("x", Meaning::Axis(0)),
+    ("y", Meaning::Axis(1)),
+    ("z", Meaning::Axis(2)),
+    ("qx", Meaning::QuaternionPart(0)),
+    ("qy", Meaning::QuaternionPart(1)),
+    ("qz", Meaning::QuaternionPart(2)),
+    ("qw", Meaning::QuaternionPart(3)),
+    ("rot", Meaning::Rotation(None)),
+    ("matrix", Meaning::Matrix),
+];
 const TIME_UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)];
 const KNOWN: &str = "t, s, ns, q, qd, x, y, z, xyz, qx, qy, qz, qw, quat:xyzw, quat:wxyz, rotvec, rpy, \
      euler:SEQ, rot[3], rot[4], matrix[12], a maker such as kuka, ? to identify, _ to ignore";
@@ -71,6 +88,11 @@ impl Meaning {
     /// Whether it belongs to the row, not to an arm or its commands.
     fn is_of_row(self) -> bool {
         matches!(self, Self::Ignored | Self::Open | Self::Time | Self::Seconds | Self::Nanoseconds)
+    }
+
+    /// Whether it is a whole rotation, perhaps with the position.
+    fn is_rotation(self) -> bool {
+        matches!(self, Self::Rotation(_) | Self::Matrix | Self::Vendor(_))
     }
 
     /// Whether `[COUNT]` repeats it.
@@ -109,26 +131,15 @@ impl Meaning {
 
     /// `None` if unknown. `euler` and `quat` include the part after the colon.
     fn parse(name: &str) -> Option<Self> {
-        let place = |all: &[&str]| all.iter().position(|own| *own == name);
-        Some(match name {
-            "_" => Self::Ignored,
-            "?" => Self::Open,
-            "t" => Self::Time,
-            "s" => Self::Seconds,
-            "ns" => Self::Nanoseconds,
-            "q" => Self::Joints,
-            "qd" => Self::JointVelocities,
-            "rot" => Self::Rotation(None),
-            "rpy" => Self::Rotation("euler:xyz".parse().ok()),
-            "matrix" => Self::Matrix,
-            _ => match (place(&AXES), place(&QUATERNION_PARTS)) {
-                (Some(axis), _) => Self::Axis(axis),
-                (_, Some(part)) => Self::QuaternionPart(part),
-                _ => match RotationEncoding::from_declared_name(name) {
-                    Ok(coding) => Self::Rotation(Some(coding)),
-                    Err(_) => Self::Vendor(vendors::names().find(|known| *known == name)?),
-                },
-            },
+        if let Some((_, meaning)) = NAMES.iter().find(|(own, _)| *own == name) {
+            return Some(*meaning);
+        }
+        if name == "rpy" {
+            return Some(Self::Rotation("euler:xyz".parse().ok()));
+        }
+        Some(match RotationEncoding::from_declared_name(name) {
+            Ok(coding) => Self::Rotation(Some(coding)),
+            Err(_) => Self::Vendor(vendors::names().find(|known| *known == name)?),
         })
     }
 }
@@ -136,19 +147,12 @@ impl Meaning {
 impl fmt::Display for Meaning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Ignored => f.write_str("_"),
-            Self::Open => f.write_str("?"),
-            Self::Time => f.write_str("t"),
-            Self::Seconds => f.write_str("s"),
-            Self::Nanoseconds => f.write_str("ns"),
-            Self::Joints => f.write_str("q"),
-            Self::JointVelocities => f.write_str("qd"),
-            Self::Axis(at) => f.write_str(AXES[*at]),
-            Self::QuaternionPart(at) => f.write_str(QUATERNION_PARTS[*at]),
-            Self::Rotation(None) => f.write_str("rot"),
             Self::Rotation(Some(coding)) => coding.fmt(f),
-            Self::Matrix => f.write_str("matrix"),
             Self::Vendor(name) => f.write_str(name),
+            _ => {
+                let known = NAMES.iter().find(|(_, meaning)| meaning == self);
+                f.write_str(known.map_or("", |(name, _)| *name))
+            }
         }
     }
 }
@@ -382,17 +386,7 @@ impl RowLayout {
         let mut groups: Vec<LayoutGroup> = Vec::new();
         let mut quaternions: Vec<[Option<usize>; 4]> = Vec::new();
         let mut axes: Vec<[Option<usize>; 3]> = Vec::new();
-        for (first, item) in self.places() {
-            if matches!(
-                item.meaning,
-                Meaning::Ignored
-                    | Meaning::Open
-                    | Meaning::Time
-                    | Meaning::Seconds
-                    | Meaning::Nanoseconds
-            ) {
-                continue;
-            }
+        for (first, item) in self.places().filter(|(_, item)| !item.meaning.is_of_row()) {
             let is_it =
                 |group: &LayoutGroup| group.arm == item.arm && group.is_command == item.is_command;
             let at = groups.iter().position(is_it).unwrap_or_else(|| {
@@ -464,14 +458,9 @@ impl RowLayout {
         for (at, item) in self.items.iter().enumerate() {
             let is_same = |other: &&LayoutItem| {
                 let is_arm = other.arm == item.arm && other.is_command == item.is_command;
-                let is_rotation = |it: &LayoutItem| {
-                    matches!(
-                        it.meaning,
-                        Meaning::Rotation(_) | Meaning::Matrix | Meaning::Vendor(_)
-                    )
-                };
                 let is_pair = other.meaning == item.meaning && !item.meaning.repeats();
-                is_arm && (is_pair || (is_rotation(item) && is_rotation(other)))
+                let are_rotations = item.meaning.is_rotation() && other.meaning.is_rotation();
+                is_arm && (is_pair || are_rotations)
             };
             if self.items[..at].iter().any(|other| is_same(&other)) {
                 let hint = match item.meaning {
@@ -518,17 +507,13 @@ impl RowLayout {
             let (position, rotation) = (group.position.len(), group.rotation.len());
             let is_axis = |meaning: Meaning| matches!(meaning, Meaning::Axis(_));
             let is_part = |meaning: Meaning| matches!(meaning, Meaning::QuaternionPart(_));
-            let is_rotation = |meaning: Meaning| {
-                matches!(meaning, Meaning::Rotation(_) | Meaning::Matrix | Meaning::Vendor(_))
-            };
             let parts = self.items.iter().filter(|item| of_group(item) && is_part(item.meaning));
             let parts = parts.count();
             if parts > 0 && parts < 4 {
                 return fail(of(&is_part), "a quaternion needs qx, qy, qz and qw".to_owned());
             }
-            if parts > 0
-                && self.items.iter().any(|item| of_group(item) && is_rotation(item.meaning))
-            {
+            let is_rotation = |item: &LayoutItem| of_group(item) && item.meaning.is_rotation();
+            if parts > 0 && self.items.iter().any(is_rotation) {
                 return fail(of(&is_part), "a pose has one rotation".to_owned());
             }
             match (position, rotation) {
@@ -538,18 +523,14 @@ impl RowLayout {
                     return fail(of(&is_axis), what);
                 }
                 (0, _) => {
-                    let at = of(&|meaning| is_rotation(meaning) || is_part(meaning));
+                    let at = of(&|meaning: Meaning| meaning.is_rotation() || is_part(meaning));
                     return fail(at, "a rotation needs the position x, y, z".to_owned());
                 }
                 _ => return fail(of(&is_axis), "a position needs x, y and z".to_owned()),
             }
         }
-        let is_used = |item: &LayoutItem| {
-            !matches!(
-                item.meaning,
-                Meaning::Ignored | Meaning::Time | Meaning::Seconds | Meaning::Nanoseconds
-            )
-        };
+        let is_used =
+            |item: &LayoutItem| !item.meaning.is_of_row() || item.meaning == Meaning::Open;
         match self.items.iter().any(is_used) {
             true => Ok(()),
             false => Err((last, format!("no joints and no pose are named; known are {KNOWN}"))),
