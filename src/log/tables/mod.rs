@@ -382,13 +382,14 @@ pub(super) struct TableTopic {
 }
 
 enum EpisodeError {
-    /// The columns or stamps are unidentified.
-    Unidentified(String),
-    /// Its rows have no times.
-    NoTimes(String),
-    /// The given layout contradicts the table.
-    Layout(String),
+    Refused(LogError),
     UnusableRows(String),
+}
+
+impl From<LogError> for EpisodeError {
+    fn from(refusal: LogError) -> Self {
+        Self::Refused(refusal)
+    }
 }
 
 impl Tables {
@@ -545,20 +546,7 @@ impl Tables {
             let of_table = (&own_settings, of_layout);
             match self.add_table(path, &label, &mut table, of_table, (context.losses, intake)) {
                 Ok(()) => {}
-                Err(EpisodeError::Unidentified(what)) => {
-                    return Err(LogError::Columns { path: path.to_owned(), what });
-                }
-                Err(EpisodeError::NoTimes(what)) => {
-                    return Err(LogError::NoTimes {
-                        path: path.to_owned(),
-                        what,
-                        rows: table.rows,
-                        numbers: table.columns.iter().map(|column| column.width).sum(),
-                    });
-                }
-                Err(EpisodeError::Layout(what)) => {
-                    return Err(LogError::Layout { path: path.to_owned(), what });
-                }
+                Err(EpisodeError::Refused(refusal)) => return Err(refusal),
                 Err(EpisodeError::UnusableRows(what)) => {
                     let rows = (table.rows > 0).then_some(table.rows as u64);
                     context.losses.add_unplaced(Extent::Messages, rows, format!("{label}{what}"));
@@ -614,16 +602,14 @@ impl Tables {
             let what = if table.rows == 0 { "it has no rows" } else { "it has only one row" };
             return Err(EpisodeError::UnusableRows(what.to_owned()));
         }
-        let layout = match row_layout {
-            Some(layout) => {
-                self.has_used_layout = true;
-                Some(LayoutColumns::resolve(layout, table).map_err(EpisodeError::Layout)?)
-            }
-            None => None,
-        };
+        let contradicts = |what| LogError::Layout { path: path.to_owned(), what };
+        let unidentified = |what| LogError::Columns { path: path.to_owned(), what };
+        self.has_used_layout |= row_layout.is_some();
+        let layout = row_layout.map(|layout| LayoutColumns::resolve(layout, table)).transpose();
+        let layout = layout.map_err(contradicts)?;
         let table = &*table;
         let clock = match layout.as_ref().map(|layout| &layout.time) {
-            Some(time) => clock::of_layout(table, time).map_err(EpisodeError::Layout)?,
+            Some(time) => clock::of_layout(table, time).map_err(contradicts)?,
             None => None,
         };
         let found = clock.map_or_else(|| clock::detect(table, settings), Ok);
@@ -632,11 +618,15 @@ impl Tables {
             (Err(ClockError::NoTimes(_)), Some(rate_hz)) => {
                 (clock::from_rate(table, rate_hz, "which is assumed"), true)
             }
-            (Err(ClockError::NoTimes(what)), None) => return Err(EpisodeError::NoTimes(what)),
-            (Err(ClockError::Other(what)), _) => return Err(EpisodeError::Unidentified(what)),
+            (Err(ClockError::NoTimes(what)), None) => {
+                let numbers = table.columns.iter().map(|column| column.width).sum();
+                let (path, rows) = (path.to_owned(), table.rows);
+                return Err(LogError::NoTimes { path, what, rows, numbers }.into());
+            }
+            (Err(ClockError::Other(what)), _) => return Err(unidentified(what).into()),
         };
         let found = meaning::identify_topics(table, &clock, settings, layout.as_ref())
-            .map_err(EpisodeError::Unidentified)?;
+            .map_err(unidentified)?;
         // A file of other quantities, such as accelerations, may accompany the joints.
         let is_unused = |found: &TableTopic| found.columns.is_none() && !found.cells.is_empty();
         let accompanies = self.inputs.len() > 1 && found.iter().all(is_unused);
