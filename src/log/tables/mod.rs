@@ -44,6 +44,7 @@ use ::bytes::Bytes;
 use serde_json::Value;
 
 use super::decode::Format;
+use super::file_format::{FileFormat, detect_format};
 use super::files::LogInput;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
@@ -997,24 +998,19 @@ pub fn episodes(path: &Path) -> Vec<String> {
     if is_store(path) {
         return if_several(zarr::episodes_in(zarr::StoreLocation::Folder(path)));
     }
-    let Some(mapped) = MappedFile::open(path).ok() else { return Vec::new() };
-    if_several(match crate::file_format::detect_format(mapped.bytes()) {
-        crate::file_format::FileFormat::Table(TableFormat::Parquet) => {
+    let Ok(mapped) = MappedFile::open(path) else { return Vec::new() };
+    let FileFormat::Table(format) = detect_format(mapped.bytes()) else { return Vec::new() };
+    if_several(match format {
+        TableFormat::Parquet => {
             let names = parquet::episodes_in(Bytes::from_owner(mapped));
             if lerobot::is_shared_file(path) {
                 return names.unwrap_or_default();
             }
             names
         }
-        crate::file_format::FileFormat::Table(TableFormat::Hdf5) => {
-            hdf5::episodes_in(Bytes::from_owner(mapped))
-        }
-        crate::file_format::FileFormat::Table(TableFormat::Zarr) => {
-            zarr::episodes_in(zarr::StoreLocation::Bytes(mapped.bytes()))
-        }
-        crate::file_format::FileFormat::Table(TableFormat::TfRecord) => {
-            tfrecord::episodes_in(mapped.bytes())
-        }
+        TableFormat::Hdf5 => hdf5::episodes_in(Bytes::from_owner(mapped)),
+        TableFormat::Zarr => zarr::episodes_in(zarr::StoreLocation::Bytes(mapped.bytes())),
+        TableFormat::TfRecord => tfrecord::episodes_in(mapped.bytes()),
         _ => return Vec::new(),
     })
 }

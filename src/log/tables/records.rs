@@ -453,8 +453,8 @@ impl Records {
         match document {
             Value::Array(items) => items.iter().try_for_each(|item| self.push(item, memory)),
             Value::Object(members) => match Shape::of(members) {
-                Shape::ByKey(mut rows) => {
-                    rows.drain(..).try_for_each(|(key, row)| self.push_with_key(key, row, memory))
+                Shape::ByKey(rows) => {
+                    rows.into_iter().try_for_each(|(key, row)| self.push_with_key(key, row, memory))
                 }
                 Shape::Lists(lists) => {
                     lists.into_iter().flatten().try_for_each(|item| self.push(item, memory))
