@@ -210,18 +210,11 @@ impl Unpacker {
         if compression != Compression::None {
             self.make_room(CHUNK, size, MAX_CHUNK_BYTES)?;
         }
-        let limit = size.saturating_add(1);
         let buffer = &mut self.buffer;
         let unpacked = match compression {
-            Compression::None => Ok(0),
             // The capacity limits zstd's output; only written bytes take memory.
             Compression::Zstd => self.zstd.decompress_to_buffer(data, buffer),
-            Compression::Lz4 => {
-                lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
-            }
-            Compression::Bz2 => {
-                bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(buffer)
-            }
+            _ => read_stream(compression, data, size.saturating_add(1), buffer),
         };
         unpacked.map_err(|source| UnpackError::Broken { part: CHUNK, source })?;
         packed.verify(packed.content(&self.buffer))
@@ -236,19 +229,11 @@ impl Unpacker {
     ) -> &'a [u8] {
         let buffer = &mut self.buffer;
         buffer.clear();
+        if compression == Compression::None {
+            return data;
+        }
         let limit = budget.remaining().min(MAX_CHUNK_BYTES);
-        // Earlier output stays in the buffer.
-        let broken_off = match compression {
-            Compression::None => return data,
-            Compression::Zstd => zstd::stream::read::Decoder::with_buffer(data)
-                .and_then(|stream| stream.take(limit).read_to_end(buffer)),
-            Compression::Lz4 => {
-                lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
-            }
-            Compression::Bz2 => {
-                bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(buffer)
-            }
-        };
+        let broken_off = read_stream(compression, data, limit, buffer);
         if compression == Compression::Bz2
             && broken_off.is_err_and(|error| error.kind() != io::ErrorKind::UnexpectedEof)
         {
@@ -282,6 +267,23 @@ impl Unpacker {
         }
         self.buffer.clear();
         self.buffer.try_reserve_exact(size as usize).map_err(|_| too_large())
+    }
+}
+
+/// Appends at most `limit` bytes to `buffer`. Those before an error stay in it.
+fn read_stream(
+    compression: Compression,
+    data: &[u8],
+    limit: u64,
+    buffer: &mut Vec<u8>,
+) -> io::Result<usize> {
+    match compression {
+        Compression::None => Ok(0),
+        Compression::Zstd => {
+            zstd::stream::read::Decoder::with_buffer(data)?.take(limit).read_to_end(buffer)
+        }
+        Compression::Lz4 => lz4::Decoder::new(data)?.take(limit).read_to_end(buffer),
+        Compression::Bz2 => bzip2::bufread::BzDecoder::new(data).take(limit).read_to_end(buffer),
     }
 }
 
