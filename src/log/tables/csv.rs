@@ -404,15 +404,14 @@ pub(super) fn read_rows(
         None => (0..width).filter(|at| context.times.contains(at)).collect(),
     };
     let format = RowFormat { delimiter, names: names.as_deref(), width, times: &times };
-    let rows = text_rows::read(&bytes[rows_at..], line, &format, context)?;
-    let TextRows { mut values, billionths, texts, text_counts, lines } = rows;
+    let mut rows = text_rows::read(&bytes[rows_at..], line, &format, context)?;
     let first = bytes[rows_at..].split(|byte| *byte == b'\n').next().unwrap_or_default();
     for (at, cell) in cells(first, delimiter).into_iter().enumerate() {
-        if let (Some(period_s), Some(own)) = (clock_period_s(cell), values.get_mut(at)) {
+        if let (Some(period_s), Some(own)) = (clock_period_s(cell), rows.values.get_mut(at)) {
             continue_times(own, period_s);
         }
     }
-    Ok(Table { lines, ..build_table(names, values, billionths, &texts, &text_counts) })
+    Ok(build_table(names, rows))
 }
 
 /// When a time of day without its date starts again: `40:34.4` each hour, `10:40:34` each day.
@@ -458,51 +457,40 @@ pub(super) fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     row.iter().zip(names).all(is_name)
 }
 
-fn build_table(
-    names: Option<Vec<String>>,
-    values: Vec<Vec<f64>>,
-    billionths: Vec<Vec<Option<i128>>>,
-    texts: &[Option<&[u8]>],
-    text_counts: &[usize],
-) -> Table {
+fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
+    let TextRows { values, mut billionths, texts, text_counts, lines } = rows;
     let rows = values.first().map_or(0, Vec::len);
-    let is_numeric = |at: usize| {
-        let finite = values[at].iter().filter(|value| value.is_finite()).count();
+    let is_numeric = |at: &usize| {
+        let finite = values[*at].iter().filter(|value| value.is_finite()).count();
         // A stream with fewer rows leaves its cells empty.
-        rows == 0 || (finite > 0 && finite >= text_counts[at])
+        rows == 0 || (finite > 0 && finite >= text_counts[*at])
     };
-    let mut made = Table { rows, ..Table::default() };
+    let (numeric, text_columns): (Vec<usize>, Vec<usize>) = (0..values.len()).partition(is_numeric);
+    let mut made = Table { rows, lines, text_columns, ..Table::default() };
     let Some(names) = names else {
-        let numeric: Vec<&Vec<f64>> =
-            (0..values.len()).filter(|at| is_numeric(*at)).map(|at| &values[at]).collect();
-        let all = (0..rows).flat_map(|row| numeric.iter().map(move |column| column[row])).collect();
-        let width = numeric.len();
-        let is_text = |at: &usize| !is_numeric(*at);
-        made.text_columns = (0..values.len()).filter(is_text).collect();
-        let kept = (0..values.len()).filter(|at| !is_text(at)).zip(0..);
-        let exact: BTreeMap<usize, usize> = kept.collect();
-        for (at, billionths) in billionths.into_iter().enumerate() {
-            if let (Some(part), false) = (exact.get(&at), billionths.is_empty()) {
-                made.exact_times.insert((0, *part), billionths);
+        let columns: Vec<&Vec<f64>> = numeric.iter().map(|&at| &values[at]).collect();
+        let all = (0..rows).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
+        made.columns.push(Column::untyped(file_names::UNNAMED_COLUMN, columns.len(), all));
+        for (part, &at) in numeric.iter().enumerate() {
+            let exact = std::mem::take(&mut billionths[at]);
+            if !exact.is_empty() {
+                made.exact_times.insert((0, part), exact);
             }
         }
-        if width < values.len() {
-            let what = format!("{} of its {} columns", values.len() - width, values.len());
+        if !made.text_columns.is_empty() {
+            let what = format!("{} of its {} columns", made.text_columns.len(), values.len());
             made.unread.push((what, "text, not numbers".to_owned()));
         }
-        made.columns.push(Column::untyped(file_names::UNNAMED_COLUMN, width, all));
         return made;
     };
-    let numeric: Vec<bool> = (0..values.len()).map(is_numeric).collect();
     for (at, ((name, values), billionths)) in
         names.into_iter().zip(values).zip(billionths).enumerate()
     {
         let name = if name.is_empty() { format!("column {at}") } else { name };
-        if numeric[at] {
+        if numeric.contains(&at) {
             made.columns.push(Column { billionths, ..Column::untyped(&name, 1, values) });
             continue;
         }
-        made.text_columns.push(at);
         let text = texts[at].unwrap_or_default();
         if !text.is_empty() {
             made.texts.insert(name.clone(), String::from_utf8_lossy(text).into_owned());
