@@ -384,15 +384,10 @@ fn element_type(datatype: &Datatype) -> Option<npy::ElementType> {
     npy::ElementType::parse(&format!("{order}{letter}{size}"))
 }
 
+/// Name of the type. `None` if not numeric, and for half floats, which are not read.
 fn number_type(datatype: &Datatype) -> Option<String> {
-    match datatype {
-        Datatype::FloatingPoint { size: size @ (4 | 8), .. } => Some(format!("float{}", 8 * size)),
-        Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed, .. } => {
-            let sign = if *signed { "" } else { "u" };
-            Some(format!("{sign}int{}", 8 * size))
-        }
-        _ => None,
-    }
+    let kind = element_type(datatype)?;
+    (!kind.is_float() || kind.size() > 2).then(|| kind.name())
 }
 
 /// robomimic writes it in `env_args`.
