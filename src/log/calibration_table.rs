@@ -87,11 +87,15 @@ pub fn read_calibration_table(
     settings: &ColumnSettings,
 ) -> Result<Option<CalibrationTable>, LogError> {
     let Some(numbers) = read_named_numbers(path, settings)? else { return Ok(None) };
-    let has_rate = settings.layout_of(path).is_some_and(|layout| layout.time() != LayoutTime::Open);
     match by_names(numbers) {
-        None if !has_rate => Err(without_poses(path)),
+        None if !declares_times(path, settings) => Err(without_poses(path)),
         table => Ok(table),
     }
+}
+
+/// A layout with times is that of a log.
+fn declares_times(path: &Path, settings: &ColumnSettings) -> bool {
+    settings.layout_of(path).is_some_and(|layout| layout.time() != LayoutTime::Open)
 }
 
 fn without_poses(path: &Path) -> LogError {
@@ -111,11 +115,7 @@ pub fn read_calibration_tables(
 ) -> Result<Option<CalibrationTable>, LogError> {
     let [one, other] = paths.map(|path| Ok((path, read_named_numbers(path, settings)?)));
     let has_poses = |table: &NumberTable| columns(&table.names).is_some();
-    // A layout with times is that of a log.
-    let is_log = |path: &Path| {
-        settings.layout_of(path).is_some_and(|layout| layout.time() != LayoutTime::Open)
-    };
-    let is_any_log = paths.into_iter().any(is_log);
+    let is_any_log = paths.into_iter().any(|path| declares_times(path, settings));
     let ((first, one), (second, other)) = match (one?, other?) {
         ((first, Some(one)), (second, Some(other))) => ((first, one), (second, other)),
         ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one)))
