@@ -6,9 +6,14 @@ use ground::time::Stamp;
 use super::tables::RowLayout;
 
 /// Encoding of a table's topics.
-const TABLE: &str = "table";
+pub(super) const TABLE: &str = "table";
 /// The same of a table by UR's RTDE client.
-const RTDE: &str = "csv";
+pub(super) const RTDE: &str = "csv";
+
+/// Whether topics in this encoding are columns of a table.
+pub(super) fn is_of_table(encoding: &str) -> bool {
+    matches!(encoding, TABLE | RTDE)
+}
 
 /// Everything read from the files of one run.
 #[derive(Clone, Debug, PartialEq)]
@@ -198,7 +203,7 @@ pub struct Topic {
 impl Topic {
     /// Whether its rows are those of a table file, which one program writes.
     pub fn is_from_table(&self) -> bool {
-        matches!(self.encoding.as_str(), TABLE | RTDE)
+        is_of_table(&self.encoding)
     }
 }
 

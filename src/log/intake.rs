@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::contents::is_of_table;
 use super::decode::{self, Format, Recipe};
 use super::losses::Losses;
 use super::part::{ChannelSnapshot, PartContent};
@@ -376,8 +377,7 @@ impl Intake {
             }
         }
         // Tables with another time origin are aligned by motion, or refused.
-        let are_tables =
-            self.topics.iter().all(|topic| ["table", "csv"].contains(&topic.encoding.as_str()));
+        let are_tables = self.topics.iter().all(|topic| is_of_table(&topic.encoding));
         for (earlier, later, apart_s) in gaps(&self.file_spans()) {
             if are_tables && apart_s > MAX_EPOCH_GAP_S {
                 continue;

@@ -14,6 +14,7 @@ use std::path::Path;
 
 use csv::{ByteRecord, ReaderBuilder};
 
+use super::contents::RTDE;
 use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
@@ -259,9 +260,8 @@ impl Recording {
                 parts.iter().filter_map(|part| by_name.get(part.as_bytes()).copied()).collect();
             if found.len() == vector.width {
                 let type_name = format!("VECTOR{}D", vector.width);
-                let Some(channel) = intake.channel(vector.name, format(&type_name)) else {
-                    continue;
-                };
+                let format = Format::without_schema(RTDE, &type_name);
+                let Some(channel) = intake.channel(vector.name, format) else { continue };
                 self.samples[index].get_or_insert_with(|| Samples {
                     channel,
                     stamps: Vec::new(),
@@ -282,7 +282,8 @@ impl Recording {
             intake.note(path, what);
         }
         let listed = others.iter().take(MAX_LISTED);
-        layout.others = listed.filter_map(|name| intake.channel(name, format(""))).collect();
+        let format = Format::without_schema(RTDE, "");
+        layout.others = listed.filter_map(|name| intake.channel(name, format)).collect();
         Some(layout)
     }
 
@@ -461,8 +462,4 @@ fn others(names: &[&[u8]]) -> Vec<String> {
     let mut names: Vec<(String, usize)> = by_name.into_iter().collect();
     names.sort_by_key(|&(_, column)| column);
     names.into_iter().map(|(name, _)| name).collect()
-}
-
-fn format(type_name: &str) -> Format<'_> {
-    Format { encoding: "csv", type_name, schema_encoding: "", schema: &[] }
 }

@@ -56,6 +56,13 @@ pub(super) enum FormatError {
     Schema { type_name: String, source: SchemaError },
 }
 
+impl<'a> Format<'a> {
+    /// Format of columns of a table, which have no schema.
+    pub(super) fn without_schema(encoding: &'a str, type_name: &'a str) -> Self {
+        Self { encoding, type_name, schema_encoding: "", schema: &[] }
+    }
+}
+
 impl Format<'_> {
     pub(super) fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
         match self.encoding {

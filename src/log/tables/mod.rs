@@ -43,6 +43,7 @@ use std::path::{Path, PathBuf};
 use ::bytes::Bytes;
 use serde_json::Value;
 
+use super::contents::TABLE;
 use super::decode::Format;
 use super::file_format::{FileFormat, detect_format};
 use super::files::LogInput;
@@ -698,8 +699,7 @@ impl Tables {
             if let Some((damaged, first)) = &damaged {
                 lose(*damaged, first);
             }
-            let format =
-                Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
+            let format = Format::without_schema(TABLE, &kind);
             let Some(channel) = intake.channel(&topic, format) else {
                 lose(rows, "exceeds the limit on columns");
                 continue;

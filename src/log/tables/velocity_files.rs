@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{TableStream, names};
 use crate::TableCell;
+use crate::contents::TABLE;
 use crate::decode::Format;
 use crate::intake::Intake;
 use ground::geometry::AngleUnit;
@@ -45,8 +46,7 @@ impl VelocityFile {
             }
         }
         let Self { topic, kind, why, cells, velocities, span } = self;
-        let format =
-            Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
+        let format = Format::without_schema(TABLE, &kind);
         let Some(channel) = intake.channel(&topic, format) else { return };
         intake.count(channel, velocities.stamps.len() as u64, (span[0], span[1]));
         intake.read_as(channel, format!("{why}, {why_not}"), cells, Vec::new());
