@@ -12,7 +12,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 
 use self::values::SlotVisitor;
 use super::fault::{Append, DecodeError, JsonError};
-use super::recipes::Recipe;
+use super::recipes::{Recipe, is_below};
 use super::row::{Row, Slot};
 use super::schema::excerpt;
 
@@ -59,15 +59,10 @@ impl Plan {
             root.insert(path, slot, recipe.row_list, &mut marks);
             plan_slots.push((path, slot));
         }
-        let is_in_row = |path: &str| {
-            let rest = recipe.row_list.and_then(|each| path.strip_prefix(each));
-            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-        };
+        let is_in_row =
+            |path: &str| recipe.row_list.is_some_and(|rows| path == rows || is_below(path, rows));
         let in_all_layouts = |branch: &Branch| {
-            let holds = |path: &str| {
-                let rest = path.strip_prefix(branch.path.as_str());
-                rest.is_some_and(|rest| rest.starts_with('.'))
-            };
+            let holds = |path: &str| is_below(path, &branch.path);
             recipe.layouts.iter().all(|fields| fields.iter().any(|(path, _)| holds(path)))
         };
         let (mut required, mut row_required) = (0, 0);

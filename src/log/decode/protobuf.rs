@@ -7,7 +7,7 @@ mod descriptor;
 mod wire;
 
 use super::fault::{Append, DecodeError};
-use super::recipes::Fields;
+use super::recipes::{Fields, is_below};
 use super::row::{Row, Slot};
 use super::schema::SchemaError;
 
@@ -75,10 +75,7 @@ impl Plan {
             .ok_or_else(|| SchemaError::NoRoot { type_name: type_name.to_owned() })?;
         let fields: Vec<_> = fields.iter().collect();
         let root = Compiler { types, each }.message(message, "", &fields)?;
-        let is_in_row = |path: &str| {
-            let rest = each.and_then(|each| path.strip_prefix(each));
-            rest.is_some_and(|rest| rest.starts_with('.'))
-        };
+        let is_in_row = |path: &str| each.is_some_and(|each| is_below(path, each));
         let in_row = fields.iter().filter(|(path, _)| is_in_row(path));
         Ok(Self {
             has_vectors: has_vectors(&root),

@@ -7,6 +7,11 @@ use super::schema::canonical;
 /// Slots by path from the message's root.
 pub(super) type Fields = &'static [(&'static str, Slot)];
 
+/// Whether the field at `path` is within the message or array at `above`.
+pub(super) fn is_below(path: &str, above: &str) -> bool {
+    path.strip_prefix(above).is_some_and(|rest| rest.starts_with('.'))
+}
+
 pub(crate) struct Recipe {
     /// Names such as `package/Type`, or `package.Type` outside ROS.
     type_names: &'static [&'static str],

@@ -1,6 +1,6 @@
 //! Compiles a schema and the wanted fields into steps.
 
-use super::super::recipes::Fields;
+use super::super::recipes::{Fields, is_below};
 use super::super::row::Slot;
 use super::super::schema::{
     Arity, Base, Definition, Extensibility, Field, MAX_DEPTH, MAX_FIELDS, Primitive, Schema,
@@ -167,9 +167,7 @@ impl<'a> Compiler<'a> {
     }
 
     fn leads_to_wanted(&self, path: &str) -> bool {
-        let below =
-            |wanted: &str| wanted.strip_prefix(path).is_some_and(|rest| rest.starts_with('.'));
-        self.wanted.iter().any(|(wanted, _)| below(wanted))
+        self.wanted.iter().any(|(wanted, _)| is_below(wanted, path))
     }
 
     fn read(
