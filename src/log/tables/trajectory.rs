@@ -180,32 +180,30 @@ fn xyzw_of(matrix: &[f64]) -> Option<[f64; 4]> {
     (defect < MAX_DEFECT).then(|| xyzw_from_rotation(&rotation))
 }
 
-/// Times in a file, in billionths of its unit; `None` in lines that are no number. `None` if it holds other numbers.
-fn times_in(input: &LogInput) -> Option<Vec<Option<i128>>> {
+/// A file and its times, in billionths of its unit; `None` in lines that are no number.
+type TimesOfFile = (PathBuf, Vec<Option<i128>>);
+
+/// `None` if the file holds other numbers.
+fn times_in(input: &LogInput) -> Option<TimesOfFile> {
     let mapped = input.open().ok().filter(|_| input.address.is_none())?;
     let bytes = mapped.bytes();
     if let Some(values) = npy::single_numbers(bytes) {
         let billionth = |value: &f64| value.is_finite().then(|| (value * 1e9).round() as i128);
         let is_time = clock::increases_like_times(&values, "");
-        return is_time.then(|| values.iter().map(billionth).collect());
+        return is_time.then(|| (input.path.clone(), values.iter().map(billionth).collect()));
     }
     let is_text = text_encoding::is_text(bytes) && is_list_of_times(bytes);
     let billionths = |text: &[u8]| csv::decimal_billionths(text, false);
-    is_text.then(|| times_below_name(bytes).map(billionths).collect())
+    is_text.then(|| (input.path.clone(), times_below_name(bytes).map(billionths).collect()))
 }
 
 /// Times of `count` rows of the file at `path` that another file of the run has. `None` if two files have them.
-pub(super) fn given_times(
-    path: &Path,
-    count: usize,
-    inputs: &[LogInput],
-) -> Option<(PathBuf, Vec<Option<i128>>)> {
+pub(super) fn given_times(path: &Path, count: usize, inputs: &[LogInput]) -> Option<TimesOfFile> {
     let others = inputs.iter().filter(|input| input.path != path);
-    let all = others.filter_map(|input| Some((input.path.clone(), times_in(input)?)));
-    let mut found: Vec<_> = all.filter(|(_, times)| times.len() == count).collect();
-    let in_folder = |(file, _): &(PathBuf, _)| file.parent() == path.parent();
+    let mut found: Vec<TimesOfFile> =
+        others.filter_map(times_in).filter(|(_, times)| times.len() == count).collect();
     if found.len() > 1 {
-        found.retain(in_folder);
+        found.retain(|(file, _)| file.parent() == path.parent());
     }
     if found.len() == 1 { found.pop() } else { None }
 }
@@ -227,20 +225,19 @@ pub(super) fn pose_times(
     path: &Path,
     poses: &[u8],
     inputs: &[LogInput],
-) -> Result<(PathBuf, Vec<Option<i128>>), LogError> {
+) -> Result<TimesOfFile, LogError> {
     let count = rows(poses).count();
     let refusal = |what: String| LogError::PoseTimes { path: path.to_owned(), what };
-    let read = |input: &LogInput| Some((input.path.clone(), times_in(input)?));
-    let mut found: Vec<_> = inputs.iter().filter_map(read).collect();
+    let mut found: Vec<TimesOfFile> = inputs.iter().filter_map(times_in).collect();
     let is_given = !found.is_empty();
     if !is_given {
         let beside = times_beside(path).into_iter().map(LogInput::local);
-        found = beside.filter_map(|input| read(&input)).collect();
+        found = beside.filter_map(|input| times_in(&input)).collect();
     }
     let misfit = found.first().map(|(file, times)| (file.clone(), times.len()));
     found.retain(|(_, times)| times.len() == count);
     if is_given && found.len() > 1 {
-        let in_folder = |(file, _): &(PathBuf, _)| file.parent() == path.parent();
+        let in_folder = |(file, _): &TimesOfFile| file.parent() == path.parent();
         if found.iter().filter(|file| in_folder(file)).count() != 1 {
             let names = [&found[0], &found[1]].map(|(file, _)| file.display());
             let [first, second] = names;
