@@ -315,28 +315,25 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             Some([all_of(3, &PoseComponent::Rotation)?, vec![w]].concat())
         };
         let label = |label: usize| all_of(3, &|at| PoseComponent::Label(label, at)).filter(is_free);
-        let turn = all_of(4, &PoseComponent::Quaternion)
+        let named = all_of(4, &PoseComponent::Quaternion)
             .or_else(with_w)
-            .or_else(|| all_of(3, &PoseComponent::Rotation))
-            .or_else(|| (0..names::label_count()).find_map(label));
-        // Rotation whose position is in numbered columns. Single-letter labels are too ambiguous without a
-        // position.
-        let turn_alone = || {
-            let named = all_of(4, &PoseComponent::Quaternion)
-                .or_else(with_w)
-                .or_else(|| all_of(3, &PoseComponent::Rotation))?;
-            Some((
-                named.clone(),
-                if named.len() == 4 { PosePart::Quaternion } else { PosePart::Rotation },
-            ))
-        };
-        let (cells, meaning, part) = match (position, turn) {
-            (Some(position), Some(turn)) => ([position, turn].concat(), ColumnMeaning::Pose, None),
-            (Some(position), None) => (position, ColumnMeaning::Position, Some(PosePart::Position)),
-            (None, _) => match turn_alone() {
-                Some((turn, part)) => (turn, ColumnMeaning::Numbers, Some(part)),
-                None => continue,
-            },
+            .or_else(|| all_of(3, &PoseComponent::Rotation));
+        let turn = named.clone().or_else(|| (0..names::label_count()).find_map(label));
+        let (cells, meaning, part) = match (position, turn, named) {
+            (Some(position), Some(turn), _) => {
+                ([position, turn].concat(), ColumnMeaning::Pose, None)
+            }
+            (Some(position), None, _) => {
+                (position, ColumnMeaning::Position, Some(PosePart::Position))
+            }
+            // Rotation whose position is in numbered columns. Single-letter labels are too ambiguous without a
+            // position.
+            (None, _, Some(turn)) => {
+                let is_quaternion = turn.len() == 4;
+                let part = if is_quaternion { PosePart::Quaternion } else { PosePart::Rotation };
+                (turn, ColumnMeaning::Numbers, Some(part))
+            }
+            (None, _, None) => continue,
         };
         let label = if key.is_empty() { "pose".to_owned() } else { key.join("_") };
         let topic = match (home.is_empty(), key.is_empty()) {
