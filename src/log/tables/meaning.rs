@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock};
 use super::names::{self, PoseComponent, PosePart};
+use super::row_layout::pose_order;
 use super::{
     Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns, pose_columns,
     row_losses,
@@ -826,13 +827,7 @@ fn join_parts_of(
             }
         };
         own.meaning = ColumnMeaning::Pose;
-        own.cells = match (turn.len(), own.cells.as_slice()) {
-            (9, [_, _, _]) => {
-                let rows = turn.chunks(3).zip(&own.cells);
-                rows.flat_map(|(row, position)| row.iter().chain([position])).copied().collect()
-            }
-            (_, position) => [position, &turn].concat(),
-        };
+        own.cells = pose_order(&own.cells, &turn);
     }
 }
 

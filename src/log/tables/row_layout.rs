@@ -268,15 +268,20 @@ impl LayoutGroup {
         self.position.len() + self.rotation.len() > 0
     }
 
-    /// Indices of its pose: position, then rotation; a matrix by rows.
+    /// Indices of its pose; see [`pose_order`].
     pub fn pose(&self) -> Vec<usize> {
-        match (self.rotation.len(), self.position.len()) {
-            (9, 3) => {
-                let rows = self.rotation.chunks(3).zip(&self.position);
-                rows.flat_map(|(row, position)| row.iter().chain([position])).copied().collect()
-            }
-            _ => [self.position.as_slice(), &self.rotation].concat(),
+        pose_order(&self.position, &self.rotation)
+    }
+}
+
+/// Position, then rotation. The rows of a matrix with nine elements end with their coordinate of the position.
+pub(super) fn pose_order<T: Copy>(position: &[T], rotation: &[T]) -> Vec<T> {
+    match (position, rotation.len()) {
+        ([_, _, _], 9) => {
+            let rows = rotation.chunks(3).zip(position);
+            rows.flat_map(|(row, position)| row.iter().chain([position])).copied().collect()
         }
+        _ => [position, rotation].concat(),
     }
 }
 
