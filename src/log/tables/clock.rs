@@ -86,6 +86,9 @@ const MAX_BACKWARD_PERCENT: usize = 2;
 
 const MAX_NANOS: f64 = 9e18;
 
+/// Numbers beyond two turns are not joint positions in rad.
+pub(super) const TWO_TURNS_RAD: f64 = 4.0 * std::f64::consts::PI;
+
 /// Why a table has no clock.
 pub(super) enum ClockError {
     /// It has no times.
@@ -417,7 +420,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     if table.rows < MIN_ROWS {
         return Err(none());
     }
-    let mut found: Vec<(String, Clock, Column)> = Vec::new();
+    let mut found: Vec<(Clock, Column)> = Vec::new();
     let mut alike = 0;
     let is_counter = |column: &Column| names::has_word(&column.name, COUNTER_WORDS);
     let distinct = distinct_rows(table);
@@ -428,32 +431,24 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
             let own = cell_column(table, (at, part), String::new());
-            let Some(clock) = from_column(at, &own, None).filter(|_| is_even(&own.values)) else {
-                continue;
-            };
+            let clock = clock_of_numbers(table, (at, part), &own);
+            let Some(clock) = clock.filter(|_| is_even(&own.values)) else { continue };
             alike += 1;
-            let is_known =
-                found.iter().any(|(_, _, other)| is_linear_in(&other.values, &own.values));
+            let is_known = found.iter().any(|(_, other)| is_linear_in(&other.values, &own.values));
             if !is_known {
-                let name = table.cell_name((at, part));
-                found.push((name, Clock { cell: Some((at, part)), ..clock }, own));
+                found.push((clock, own));
             }
         }
     }
-    match found.as_mut_slice() {
+    match found.as_slice() {
         [] => clock_at_edge(table).ok_or_else(none),
         [_] if alike > MAX_INCREASING_COLUMNS => Err(none()),
-        [(name, ..)] => {
-            let name = std::mem::take(name);
-            let (_, clock, _) = found.swap_remove(0);
-            let description =
-                clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
-            Ok(Clock { description, unnamed_column: Some(name), ..clock })
-        }
+        [_] => Ok(found.swap_remove(0).0),
         several => {
             const MAX_SHOWN: usize = 3;
-            let shown = several.iter().take(MAX_SHOWN);
-            let names: Vec<String> = shown.map(|(name, ..)| format!("time = \"{name}\"")).collect();
+            let names = several.iter().filter_map(|(clock, _)| clock.unnamed_column.as_ref());
+            let shown = names.take(MAX_SHOWN);
+            let names: Vec<String> = shown.map(|name| format!("time = \"{name}\"")).collect();
             let more = if several.len() > MAX_SHOWN { ", or another" } else { "" };
             Err(ClockError::Other(format!(
                 "{} columns increase like times, and no name shows which one to use: {}{more}",
@@ -486,18 +481,21 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
     }
     let clock = |part: usize| {
         let own = cell_column(table, (0, part), String::new());
-        if !exceed_joints(&own.values) || !increases_like_times(&own.values, &own.kind) {
-            return None;
-        }
-        let name = table.cell_name((0, part));
-        let clock = from_column(0, &own, None)?;
-        let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
-        Some(Clock { cell: Some((0, part)), description, unnamed_column: Some(name), ..clock })
+        let is_clock = exceed_joints(&own.values) && increases_like_times(&own.values, &own.kind);
+        if is_clock { clock_of_numbers(table, (0, part), &own) } else { None }
     };
     match [clock(0), clock(column.width - 1)] {
         [Some(own), None] | [None, Some(own)] => Some(own),
         _ => None,
     }
+}
+
+/// The clock of the cell whose numbers `own` holds without a name.
+fn clock_of_numbers(table: &Table, cell: (usize, usize), own: &Column) -> Option<Clock> {
+    let clock = from_column(cell.0, own, None)?;
+    let name = table.cell_name(cell);
+    let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
+    Some(Clock { cell: Some(cell), description, unnamed_column: Some(name), ..clock })
 }
 
 fn why_not_times(column: &Column) -> String {
@@ -566,7 +564,6 @@ pub(super) fn increases_like_times(values: &[f64], kind: &str) -> bool {
 
 /// Whether increasing numbers exceed two turns, which no joint in rad does.
 pub(super) fn exceed_joints(values: &[f64]) -> bool {
-    const TWO_TURNS_RAD: f64 = 4.0 * std::f64::consts::PI;
     values.last().zip(values.first()).is_some_and(|(last, first)| last - first > TWO_TURNS_RAD)
 }
 

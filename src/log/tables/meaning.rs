@@ -8,7 +8,7 @@ mod trajectory;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-use super::clock::{self, Clock};
+use super::clock::{self, Clock, TWO_TURNS_RAD};
 use super::names::{self, PoseComponent, PosePart};
 use super::row_layout::pose_order;
 use super::{
@@ -211,9 +211,6 @@ fn further_clock<'a>(
     let mut named = further.iter().filter(|own| is_named_like(own));
     named.next().filter(|_| named.next().is_none()).map(|own| (clock, own))
 }
-
-/// Joint positions beyond two turns are not in rad.
-const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 /// Converts each joint to rad if their names give different units.
 fn convert_mixed_angles(table: &Table, group: &mut ColumnGroup) {
@@ -1008,10 +1005,11 @@ impl ColumnGroup {
                 // `joints_rad` next to `joints_deg`.
                 let is_small = || {
                     let mut positions = joints.joints.iter().flat_map(|joint| &joint.position);
-                    positions.all(|position| position.is_nan() || position.abs() <= TWO_TURNS)
+                    positions.all(|position| position.is_nan() || position.abs() <= TWO_TURNS_RAD)
                 };
                 let is_rad = cells.iter().all(|cell| says_rad(&cell)) && is_small();
-                let are_degrees = (is_named || (most > TWO_TURNS && !is_rad)) && lines.is_empty();
+                let are_degrees =
+                    (is_named || (most > TWO_TURNS_RAD && !is_rad)) && lines.is_empty();
                 let are_radians = || in_words(names::RADIAN_WORDS) || are_rates_in_radians(&joints);
                 if in_words(names::DEGREE_WORDS) || (are_degrees && !are_radians()) {
                     joints.joints.iter_mut().for_each(|it| it.velocity.update(f64::to_radians));
