@@ -44,6 +44,9 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
+use self::file_format::FileFormat;
+use self::tables::TableFormat;
+
 pub use self::calibration_table::{
     CalibrationTable, NumberTable, RotationColumns, read_calibration_table,
     read_calibration_tables, read_number_table,
@@ -77,13 +80,13 @@ pub const HEAD_BYTES: u64 = 4096;
 
 /// Whether the file starts like a table.
 pub fn is_table(path: &Path) -> bool {
-    is_store(path) || matches!(detect_file_format(path), Some(file_format::FileFormat::Table(_)))
+    is_store(path) || matches!(detect_file_format(path), Some(FileFormat::Table(_)))
 }
 
 /// Files read together with the log file at `path`, whether they exist or not.
 pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     match detect_file_format(path) {
-        Some(file_format::FileFormat::Sqlite) => {
+        Some(FileFormat::Sqlite) => {
             let with = |end: &str| {
                 let mut name = path.as_os_str().to_owned();
                 name.push(end);
@@ -91,17 +94,13 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
             };
             ["-wal", "-shm", "-journal"].map(with).into()
         }
-        Some(file_format::FileFormat::Table(tables::TableFormat::TfRecord)) => {
-            tables::declared_beside(path)
-        }
-        Some(file_format::FileFormat::Table(tables::TableFormat::Kitti)) => {
-            tables::pose_times_beside(path)
-        }
+        Some(FileFormat::Table(TableFormat::TfRecord)) => tables::declared_beside(path),
+        Some(FileFormat::Table(TableFormat::Kitti)) => tables::pose_times_beside(path),
         _ => Vec::new(),
     }
 }
 
-fn detect_file_format(path: &Path) -> Option<file_format::FileFormat> {
+fn detect_file_format(path: &Path) -> Option<FileFormat> {
     read_head(path).map(|head| file_format::detect_format(&head))
 }
 
@@ -117,14 +116,12 @@ fn read_head(path: &Path) -> Option<Vec<u8>> {
 /// Whether a file starting with `head` may be a log. A zstd archive must be read to know.
 pub fn looks_like_log(head: &[u8]) -> bool {
     match file_format::detect_format(head) {
-        file_format::FileFormat::Known { .. } | file_format::FileFormat::Unknown { .. } => false,
+        FileFormat::Known { .. } | FileFormat::Unknown { .. } => false,
         // A table without times may be anything.
-        file_format::FileFormat::Table(tables::TableFormat::Csv) => tables::has_time(head),
-        file_format::FileFormat::Table(tables::TableFormat::Json) => tables::has_record_times(head),
+        FileFormat::Table(TableFormat::Csv) => tables::column_names(head).is_some(),
+        FileFormat::Table(TableFormat::Json) => tables::has_record_times(head),
         // A list of times, or the settings of anything.
-        file_format::FileFormat::Table(tables::TableFormat::Times | tables::TableFormat::Yaml) => {
-            false
-        }
+        FileFormat::Table(TableFormat::Times | TableFormat::Yaml) => false,
         _ => true,
     }
 }

@@ -94,11 +94,6 @@ pub(crate) fn is_table(bytes: &[u8]) -> bool {
     to_rows(bytes).is_some() || rows_of_times(&text_encoding::to_utf8(bytes)).is_some()
 }
 
-/// A text table with times is a log rather than a calibration table.
-pub(crate) fn has_time(bytes: &[u8]) -> bool {
-    column_names(bytes).is_some()
-}
-
 /// Names of the columns of a table with times.
 pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
     let names = to_rows(bytes)?.1.names?;

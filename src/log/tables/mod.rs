@@ -61,8 +61,8 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 use self::clock::ClockError;
 pub(crate) use self::configurations::rows_of_numbers;
 pub(super) use self::csv::{
-    column_names, delimiter_of_numbers, has_time, is_header_alone, is_list_of_numbers,
-    is_list_of_pairs, is_table, is_table_of_text,
+    column_names, delimiter_of_numbers, is_header_alone, is_list_of_numbers, is_list_of_pairs,
+    is_table, is_table_of_text,
 };
 pub(super) use self::file_names::are_one_run;
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
