@@ -196,9 +196,10 @@ impl Intake {
     pub(super) fn known(&self) -> Option<ChannelSnapshot> {
         /// With more channels, this copy takes longer than reading a small chunk.
         const MAX_SNAPSHOT_CHANNELS: usize = 1 << 9;
-        (self.channels.len() <= MAX_SNAPSHOT_CHANNELS).then(|| {
-            let topics = self.topics.iter().map(|topic| topic.content.template()).collect();
-            ChannelSnapshot::new(topics, self.channels.clone(), self.files.len())
+        (self.channels.len() <= MAX_SNAPSHOT_CHANNELS).then(|| ChannelSnapshot {
+            topics: self.topics.iter().map(|topic| topic.content.template()).collect(),
+            channels: self.channels.clone(),
+            file: self.files.len(),
         })
     }
 

@@ -10,20 +10,13 @@ pub(super) trait PartParser: Send + Sync {
 }
 
 pub(super) struct ChannelSnapshot {
-    topics: Vec<TopicTemplate>,
-    channels: Vec<ChannelLocation>,
-    file: usize,
+    pub(super) topics: Vec<TopicTemplate>,
+    pub(super) channels: Vec<ChannelLocation>,
+    /// Number of the file.
+    pub(super) file: usize,
 }
 
 impl ChannelSnapshot {
-    pub(super) fn new(
-        topics: Vec<TopicTemplate>,
-        channels: Vec<ChannelLocation>,
-        file: usize,
-    ) -> Self {
-        Self { topics, channels, file }
-    }
-
     pub(super) fn part(&self) -> PartReader<'_> {
         PartReader {
             known: self,
