@@ -128,9 +128,7 @@ impl IntactPages {
         found.values = before.saturating_add(own);
         (before, header)
     }
-}
 
-impl IntactPages {
     /// Rejects a page that needs a missing dictionary: the decoder of the crate panics on it.
     fn check_decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
         let is_coded = |page: &Page| {

@@ -26,7 +26,6 @@ pub(super) struct RowFormat<'a> {
 }
 
 /// Columns of a text table.
-#[derive(Default)]
 pub(super) struct TextRows<'a> {
     /// Per column.
     pub values: Vec<Vec<f64>>,
