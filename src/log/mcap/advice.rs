@@ -32,8 +32,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
         let mut messages: Vec<(usize, bool)> = Vec::new();
         for index in self.indexes_after(chunk) {
-            let id = self.definitions.channel_of(index.channel_id);
-            let is_ignored = id.is_some_and(|id| self.intake.ignores(id));
+            let is_ignored = self.ignores(index.channel_id);
             let offsets = index.offsets().filter_map(|at| usize::try_from(at).ok());
             messages.extend(offsets.map(|at| (at.min(records.len()), is_ignored)));
         }

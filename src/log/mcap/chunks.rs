@@ -53,20 +53,19 @@ impl<'a> Reader<'a, '_, '_> {
         known.any(|id| self.intake.ignores(id))
     }
 
+    /// Whether messages of a known channel are only counted.
+    pub(super) fn ignores(&self, channel_id: u16) -> bool {
+        self.definitions.channel_of(channel_id).is_some_and(|id| self.intake.ignores(id))
+    }
+
     /// Needed records of an uncompressed chunk; large unused messages can be skipped.
     pub(super) fn records_use(&self, records: &[u8]) -> ChunkUse {
-        let (mut ignored, mut frames) = (0, record::frames(records, 0));
-        for frame in &mut frames {
+        let mut ignored = 0;
+        for frame in record::frames(records, 0) {
             let Ok(frame) = frame else { return ChunkUse::All };
-            let message = match frame.opcode {
-                op::MESSAGE => record::Message::parse(frame.body),
-                _ => None,
-            };
-            if let Some(message) = message
-                && self
-                    .definitions
-                    .channel_of(message.channel_id)
-                    .is_some_and(|id| self.intake.ignores(id))
+            if frame.opcode == op::MESSAGE
+                && let Some(message) = record::Message::parse(frame.body)
+                && self.ignores(message.channel_id)
             {
                 ignored += message.data.len();
             }

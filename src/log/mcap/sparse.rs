@@ -38,10 +38,7 @@ impl<'a> Reader<'a, '_, '_> {
     /// Whether a chunk's indexes name only messages that are counted.
     pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
         let mut indexes = self.indexes_after(chunk).peekable();
-        let is_ignored = |index: record::MessageIndex<'_>| {
-            self.definitions.channel_of(index.channel_id).is_some_and(|id| self.intake.ignores(id))
-        };
-        indexes.peek().is_some() && indexes.all(is_ignored)
+        indexes.peek().is_some() && indexes.all(|index| self.ignores(index.channel_id))
     }
 
     /// Checks that all needed parts of an uncompressed chunk are present. Returns the number of skipped
