@@ -87,12 +87,7 @@ pub fn is_table(path: &Path) -> bool {
 pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     match detect_file_format(path) {
         Some(FileFormat::Sqlite) => {
-            let with = |end: &str| {
-                let mut name = path.as_os_str().to_owned();
-                name.push(end);
-                PathBuf::from(name)
-            };
-            ["-wal", "-shm", "-journal"].map(with).into()
+            ["-wal", "-shm", "-journal"].map(|end| rosbag2::beside(path, end)).into()
         }
         Some(FileFormat::Table(TableFormat::TfRecord)) => tables::declared_beside(path),
         Some(FileFormat::Table(TableFormat::Kitti)) => tables::pose_times_beside(path),

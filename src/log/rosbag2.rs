@@ -63,6 +63,13 @@ struct FileInformation {
     message_count: Option<u64>,
 }
 
+/// SQLite's companion file with this suffix.
+pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
 /// Files of the recording in `folder`. Missing files are recorded as losses.
 ///
 /// # Errors

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use percent_encoding::percent_encode;
 use rusqlite::config::DbConfig;
@@ -15,6 +15,7 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 
 use super::batch::{Batches, decoded};
+use super::beside;
 use super::wal;
 use crate::decode::{Format, excerpt};
 use crate::intake::{ChannelId, Intake};
@@ -152,13 +153,6 @@ fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     // SQLite does not copy mapped pages.
     database.pragma_update(None, "mmap_size", i64::from(i32::MAX))?;
     Ok(database)
-}
-
-/// SQLite's companion file with this suffix.
-fn beside(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(suffix);
-    name.into()
 }
 
 fn uri(path: &Path, parameter: &str) -> String {
