@@ -21,7 +21,7 @@ use super::losses::Losses;
 use super::tables;
 use super::topic::{Message, MessagePlace};
 use super::{Extent, ReadOptions};
-use ground::stream::{Columns, JointColumn, JointColumns, Times, is_usable};
+use ground::stream::{Columns, JointColumns, usable_or_nan};
 use ground::time;
 
 /// Joint names in controller order.
@@ -411,21 +411,16 @@ impl Samples {
             .into_iter()
             .flat_map(|samples| samples.stamps.iter().copied().zip(samples.rows(JOINTS.len())))
             .collect();
-        let mut joints = JointColumns { times: self.times(), ..JointColumns::default() };
-        joints.joints = (0..JOINTS.len())
-            .map(|joint| {
-                let velocity =
-                    |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| finite(row[joint]));
-                JointColumn {
-                    name: JOINTS[joint].to_owned(),
-                    position: self.rows(JOINTS.len()).map(|row| finite(row[joint])).collect(),
-                    velocity: self.stamps.iter().map(velocity).collect(),
-                }
-            })
-            .collect();
-        for row in self.rows(JOINTS.len()) {
-            let unusable = (0..JOINTS.len()).filter(|&joint| !is_usable(row[joint]));
-            unusable.for_each(|joint| joints.drop_value(joint));
+        let stamps: Vec<_> = self.stamps.iter().map(|&stamp| stamp.into()).collect();
+        let positions = JOINTS.iter().enumerate().map(|(joint, name)| {
+            let position = self.rows(JOINTS.len()).map(|row| usable_or_nan(row[joint]));
+            ((*name).to_owned(), position.collect())
+        });
+        let mut joints = tables::joint_columns(&stamps, positions);
+        for (at, joint) in joints.joints.iter_mut().enumerate() {
+            let velocity =
+                |stamp| by_stamp.get(stamp).map_or(f64::NAN, |row| usable_or_nan(row[at]));
+            joint.velocity = self.stamps.iter().map(velocity).collect();
         }
         joints
     }
@@ -433,16 +428,6 @@ impl Samples {
     fn rows(&self, width: usize) -> impl Iterator<Item = &[f64]> {
         self.values.chunks_exact(width)
     }
-
-    fn times(&self) -> Times {
-        let mut times = Times::default();
-        self.stamps.iter().for_each(|&stamp| times.push(stamp, stamp, stamp));
-        times
-    }
-}
-
-fn finite(value: f64) -> f64 {
-    if is_usable(value) { value } else { f64::NAN }
 }
 
 /// Names of unused columns in order; a vector is one name.

@@ -34,6 +34,11 @@ pub fn is_usable(value: f64) -> bool {
     value.abs() <= MAX_MAGNITUDE
 }
 
+/// NaN if the value is not [`is_usable`].
+pub fn usable_or_nan(value: f64) -> f64 {
+    if is_usable(value) { value } else { f64::NAN }
+}
+
 /// A JointState topic.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumns {

@@ -12,7 +12,7 @@ mod tracks;
 pub use column::Column;
 pub use columns::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns,
-    is_usable,
+    is_usable, usable_or_nan,
 };
 pub use encoder_tick::{encoder_tick, is_whole};
 pub use times::{SharedTimes, Times};

@@ -12,8 +12,8 @@ use super::clock::{self, Clock, TWO_TURNS_RAD};
 use super::names::{self, PoseComponent, PosePart};
 use super::row_layout::pose_order;
 use super::{
-    Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns, pose_columns,
-    row_losses,
+    Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns, joint_columns,
+    pose_columns, row_losses,
 };
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
@@ -21,7 +21,7 @@ pub(crate) use row_layout::LayoutColumns;
 use sampling::Sampling;
 
 use ground::geometry::{AngleUnit, rotation_from_matrix_rows};
-use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
+use ground::stream::{ArrayColumns, Columns, JointColumns, is_usable, usable_or_nan};
 
 /// Joints of an arm, with its gripper.
 const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
@@ -965,9 +965,8 @@ impl ColumnGroup {
             };
             rows.iter().flat_map(|&(at, _)| row(at)).collect()
         };
-        let usable_values_of = |cell: &Cell| {
-            let logged = rows.iter().map(|&(row, _)| at(row, cell));
-            logged.map(|value| if is_usable(value) { value } else { f64::NAN }).collect()
+        let usable_values_of = |cell: &Cell| -> Vec<f64> {
+            rows.iter().map(|&(row, _)| usable_or_nan(at(row, cell))).collect()
         };
         let is_pose = matches!(meaning, ColumnMeaning::Pose);
         let velocity_cells = match &meaning {
@@ -986,8 +985,9 @@ impl ColumnGroup {
         };
         let columns = match meaning {
             ColumnMeaning::Joints { names, unnamed, lines, velocities } => {
-                let positions = names.iter().zip(cells.iter().map(usable_values_of));
-                let mut joints = joints(&stamps, positions, unnamed);
+                let positions = names.into_iter().zip(cells.iter().map(usable_values_of));
+                let joints = joint_columns(&stamps, positions);
+                let mut joints = JointColumns { unnamed, ..joints };
                 for (joint, cell) in joints.joints.iter_mut().zip(&velocities) {
                     joint.velocity = usable_values_of(cell).into();
                 }
@@ -1093,21 +1093,4 @@ fn are_rates_in_radians(joints: &JointColumns) -> bool {
         }
     }
     RATIO.contains(&(products / squares))
-}
-
-/// `positions` are usable or NaN.
-fn joints<'a>(
-    stamps: &[RowStamps],
-    positions: impl Iterator<Item = (&'a String, Vec<f64>)>,
-    unnamed: bool,
-) -> JointColumns {
-    let mut times = Times::default();
-    stamps.iter().for_each(|stamp| times.push(stamp.column_ns, stamp.row_ns, stamp.row_ns));
-    let mut joints = JointColumns { times, unnamed, ..JointColumns::default() };
-    for (at, (name, position)) in positions.enumerate() {
-        let unusable = position.iter().filter(|value| value.is_nan()).count();
-        (0..unusable).for_each(|_| joints.drop_value(at));
-        joints.joints.push(JointColumn::from_positions(name.clone(), position));
-    }
-    joints
 }

@@ -52,7 +52,9 @@ use super::losses::Losses;
 use super::mapped::MappedFile;
 use super::memory_budget::MemoryBudget;
 use super::{Container, Extent, LogError, TableCell, TableNumber, TableShape};
-use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, is_usable};
+use ground::stream::{
+    ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns, Times, is_usable,
+};
 use ground::time::NANOS_PER_SECOND;
 
 pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning, RowLayout};
@@ -903,6 +905,22 @@ pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) 
         }
     }
     array
+}
+
+/// Joints by name. Their positions are usable or NaN.
+pub(super) fn joint_columns(
+    stamps: &[RowStamps],
+    positions: impl Iterator<Item = (String, Vec<f64>)>,
+) -> JointColumns {
+    let mut times = Times::default();
+    stamps.iter().for_each(|stamp| times.push(stamp.column_ns, stamp.row_ns, stamp.row_ns));
+    let mut joints = JointColumns { times, ..JointColumns::default() };
+    for (at, (name, position)) in positions.enumerate() {
+        let unusable = position.iter().filter(|value| value.is_nan()).count();
+        (0..unusable).for_each(|_| joints.drop_value(at));
+        joints.joints.push(JointColumn::from_positions(name, position));
+    }
+    joints
 }
 
 /// Rows of positions (`width` 3), or of positions and quaternions xyzw (7).

@@ -9,7 +9,7 @@ use crate::decode::Format;
 use crate::intake::Intake;
 use ground::geometry::AngleUnit;
 use ground::stats::median;
-use ground::stream::{Columns, JointColumns, is_usable};
+use ground::stream::{Columns, JointColumns, usable_or_nan};
 
 /// Maximum difference between the stamps of velocities and positions, as a share of the step between rows.
 const MAX_STAMP_DEVIATION: f64 = 0.1;
@@ -109,7 +109,7 @@ impl Velocities {
         let factor = self.unit.map_or_else(of_positions, |unit| unit.in_rad());
         let velocities = |at: usize| -> Vec<f64> {
             let value = |row: &Option<&[f64]>| row.map_or(f64::NAN, |row| row[at] * factor);
-            found.iter().map(value).map(|v| if is_usable(v) { v } else { f64::NAN }).collect()
+            found.iter().map(value).map(usable_or_nan).collect()
         };
         if (0..joints.joints.len()).all(|at| follow_positions(joints, at, &velocities(at))) {
             return Err("but they follow the joint positions, not their rates");

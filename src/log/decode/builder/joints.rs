@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::super::row::{self, Names, Row, RowTimes};
 use super::super::schema::bounded;
 use super::values::{keep_first, push_times};
-use ground::stream::{JointColumn, JointColumns, is_usable};
+use ground::stream::{JointColumn, JointColumns, is_usable, usable_or_nan};
 
 /// Rows are dense, so new names in every message would fill the memory. The largest humanoids have fewer
 /// than a hundred joints.
@@ -96,7 +96,7 @@ impl Joints {
         let mut contradicts = false;
         for (i, (&column, &position)) in self.order.iter().zip(positions).enumerate() {
             let velocity = if with_velocity { velocities[i] } else { f64::NAN };
-            let velocity = if is_usable(velocity) { velocity } else { f64::NAN };
+            let velocity = usable_or_nan(velocity);
             let position = if is_usable(position) {
                 position
             } else {
