@@ -160,7 +160,7 @@ impl Segments {
     /// explained either, or the longest is not explained better than the run.
     fn diagnose(run: &SplitRun, spans: &[Span], residual_of_run_m: f64) -> Option<Self> {
         let longest = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
-        let diagnose = |span: Span| Segment { span, found: run.diagnose(span).1 };
+        let diagnose = |span: Span| Segment { span, found: run.diagnose(span) };
         let longest = (spans.len() > 1).then(|| diagnose(spans[longest]))?;
         let residual = residual_m(&longest.found);
         let is_far = longest.found.streams.iter().all(PoseDiagnosis::is_far_from_fk);

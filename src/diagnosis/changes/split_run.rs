@@ -100,10 +100,9 @@ impl SplitRun<'_> {
     }
 
     /// Diagnoses a segment alone.
-    pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
+    pub fn diagnose(&self, span: Span) -> ArmDiagnosis {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
         let streams = self.with_tracks(&tracks);
-        let diagnosis = ArmRun { joints: &joints, streams: &streams, ..self.arm }.diagnose();
-        (joints, diagnosis)
+        ArmRun { joints: &joints, streams: &streams, ..self.arm }.diagnose()
     }
 }
