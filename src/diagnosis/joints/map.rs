@@ -1,6 +1,6 @@
 //! Mapping from logged joint values to joint positions: order, unit and zero.
 
-use ground::robot::{Chain, JointKind};
+use ground::robot::Chain;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Motion of a joint per unit of another.
@@ -66,10 +66,7 @@ impl JointMap {
     /// Acts on the zeros of revolute joints. Radians are unwrapped to within half a turn, others to the
     /// centre of the joint's range.
     pub fn remove_whole_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
-        for (j, kind) in chain.joint_kinds().iter().enumerate() {
-            if *kind == JointKind::Prismatic {
-                continue;
-            }
+        for j in chain.turning_joints() {
             let limits = chain.limits()[j];
             let middle =
                 limits.lower.zip(limits.upper).map_or(0.0, |(low, high)| (low + high) / 2.0);
@@ -86,13 +83,12 @@ impl JointMap {
     pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
         const MAX_LIMIT_RATIO: f64 = 2.0;
         const MAX_TURNS: f64 = 3.0;
-        (0..self.from.len()).any(|j| {
+        chain.turning_joints().any(|j| {
             let limits = chain.limits()[j];
             let most = limits.lower.zip(limits.upper).map(|(low, high)| low.abs().max(high.abs()));
             let ends = spans[self.from[j]].map(|end| self.factor[j] * end + self.zero[j]);
             let farthest = ends[0].abs().max(ends[1].abs());
-            chain.joint_kinds()[j] != JointKind::Prismatic
-                && farthest > most.map_or(MAX_TURNS * TAU, |most| most + MAX_LIMIT_RATIO)
+            farthest > most.map_or(MAX_TURNS * TAU, |most| most + MAX_LIMIT_RATIO)
         })
     }
 
@@ -124,9 +120,9 @@ pub(crate) fn half_turns(angle: f64) -> f64 {
 
 /// Revolute and prismatic joints multiplied by a factor each.
 pub(super) fn scaled(chain: &Chain, turning: f64, sliding: f64) -> JointMap {
-    let kinds = chain.joint_kinds();
-    let factor = |kind: &JointKind| if *kind == JointKind::Prismatic { sliding } else { turning };
-    JointMap { factor: kinds.iter().map(factor).collect(), ..JointMap::as_logged(kinds.len()) }
+    let factor = |joint: usize| if chain.slides(joint) { sliding } else { turning };
+    let factor = (0..chain.dof()).map(factor).collect();
+    JointMap { factor, ..JointMap::as_logged(chain.dof()) }
 }
 
 /// All revolute joints in degrees, all prismatic ones in millimetres, and both.
@@ -139,14 +135,14 @@ pub(super) fn unit_maps(chain: &Chain) -> Vec<JointMap> {
 
 /// Other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that are radians.
 pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
-    let slides = |kind: &JointKind| *kind == JointKind::Prismatic;
-    let (kinds, degree) = (chain.joint_kinds(), 1f64.to_radians());
+    let degree = 1f64.to_radians();
+    let has_slides = (0..chain.dof()).any(|joint| chain.slides(joint));
     let mut maps = Vec::new();
     let angles = [TAU, PI, 1e-3, 1e-6, 0.1 * degree, 0.01 * degree, 1e-3 * degree, TAU / 400.0];
     for turning in angles.into_iter().chain([2.0, 0.5]) {
         for sign in [1.0, -1.0] {
             maps.push(scaled(chain, sign * turning, 1.0));
-            if kinds.iter().any(slides) {
+            if has_slides {
                 maps.push(scaled(chain, sign * turning, 1e-3));
             }
         }
@@ -161,13 +157,11 @@ pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
         for sign in [1.0, -1.0] {
             let map = scaled(chain, sign * tick, 1.0);
             let mut centred = map.clone();
-            for (zero, kind) in centred.zero.iter_mut().zip(kinds) {
-                *zero = if slides(kind) { 0.0 } else { -sign * PI };
-            }
+            chain.turning_joints().for_each(|joint| centred.zero[joint] = -sign * PI);
             maps.extend([map, centred]);
         }
     }
-    let none = JointMap::as_logged(kinds.len());
+    let none = JointMap::as_logged(chain.dof());
     for [low, high] in [[-100.0, 100.0], [0.0, 100.0], [-1.0, 1.0], [0.0, 1.0]] {
         let mut map = none.clone();
         for (j, limits) in chain.limits().iter().enumerate() {

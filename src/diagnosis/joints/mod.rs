@@ -22,7 +22,7 @@ pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
 use ground::geometry::{Pose, Rotation, Vec3};
-use ground::robot::{Chain, JointKind};
+use ground::robot::Chain;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, sample_noise};
 use interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses};
@@ -315,8 +315,8 @@ pub(super) fn single_zeros(
     let residual_of =
         |map: &JointMap| view.residual_against(&view.fk(map), &named).combined_m(view.lever_m);
     let max_residual = MAX_ZERO_RESIDUAL_RATIO * residual_of(&nearest_zeros);
-    let turning = (0..columns.len()).filter(|&j| chain.joint_kinds()[j] != JointKind::Prismatic);
-    let mut zeros: Vec<(f64, usize, f64)> = turning
+    let mut zeros: Vec<(f64, usize, f64)> = chain
+        .turning_joints()
         .filter_map(|joint| {
             let zero = SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0).0;
             let residual_of = residual_of(&nearest_zeros.with(joint, 1.0, zero));
@@ -359,26 +359,26 @@ fn to_encoding(
     found: &JointInterpretation,
     as_logged: f64,
 ) -> JointEncoding {
-    let (map, kinds, columns) = (&found.map, stream.chain.joint_kinds(), stream.columns);
+    let PoseStream { chain, columns, .. } = *stream;
+    let map = &found.map;
     let unit_residuals = UnitResiduals { as_logged, corrected: found.residual.m };
     let degree = 1f64.to_radians();
-    let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
     /// Relative.
     const SCALE_PRECISION: f64 = 1e-3;
     let is_degree = |factor: f64| (factor / degree - 1.0).abs() < SCALE_PRECISION;
-    let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
     // Also if some are reversed.
-    let all_in_degrees =
-        turning.len() > 1 && turning.iter().all(|&joint| is_degree(map.factor[joint].abs()));
+    let all_in_degrees = chain.turning_joints().count() > 1
+        && chain.turning_joints().all(|joint| is_degree(map.factor[joint].abs()));
     let unit_errors = (0..map.from.len()).filter_map(|joint| {
-        let is_common = all_in_degrees && !slides(joint);
+        let slides = chain.slides(joint);
+        let is_common = all_in_degrees && !slides;
         let factor = map.factor[joint] / if is_common { degree } else { 1.0 };
         let unit = match factor {
             1.0 => return None,
             _ if is_common && (factor - 1.0).abs() < SCALE_PRECISION => return None,
-            _ if !slides(joint) && is_degree(factor) => JointUnit::Degrees,
-            1e-3 if slides(joint) => JointUnit::Millimetres,
-            1e-2 if slides(joint) => JointUnit::Centimetres,
+            _ if !slides && is_degree(factor) => JointUnit::Degrees,
+            1e-3 if slides => JointUnit::Millimetres,
+            1e-2 if slides => JointUnit::Centimetres,
             _ => JointUnit::Scaled,
         };
         let factor = if unit == JointUnit::Degrees { degree } else { factor };

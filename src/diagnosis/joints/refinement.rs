@@ -5,7 +5,6 @@ use super::map::{Coupling, JointMap};
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::pose_of_twist;
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
-use ground::robot::JointKind;
 
 #[derive(Clone, Debug)]
 pub(super) struct JointProposal {
@@ -123,9 +122,8 @@ impl LeastSquares for ProposalFit<'_> {
         const MAX_RELATIVE_STEP: f64 = 0.2;
         let relative = |step: f64| step.clamp(-MAX_RELATIVE_STEP, MAX_RELATIVE_STEP);
         let (mut map, mut frames, mut steps) = (map.clone(), *frames, step.iter().copied());
-        let kinds = self.view.chain.joint_kinds();
         for (&joint, step) in self.proposal.zeros.iter().zip(&mut steps) {
-            let slides = kinds[joint] == JointKind::Prismatic;
+            let slides = self.view.chain.slides(joint);
             let most = if slides { f64::INFINITY } else { MAX_STEP_RAD };
             map.zero[joint] += step.clamp(-most, most);
         }

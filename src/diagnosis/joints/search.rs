@@ -10,7 +10,6 @@ use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
 use crate::frames::position_fit::spread;
 use crate::priors::FLANGE_PRIOR_M;
-use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -195,14 +194,12 @@ fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> 
     const POSITION_TOLERANCE: f64 = 0.02;
     let dof = view.chain.dof();
     let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
-    let kinds = view.chain.joint_kinds();
     view.q.chunks_exact(dof).all(|row| {
         a.apply(row, &mut by_a);
         b.apply(row, &mut by_b);
-        by_a.iter().zip(&by_b).zip(kinds).all(|((a, b), kind)| {
+        by_a.iter().zip(&by_b).enumerate().all(|(joint, (a, b))| {
             let difference = a - b;
-            let turns =
-                if *kind == JointKind::Prismatic { 0.0 } else { (difference / TAU).round() };
+            let turns = if view.chain.slides(joint) { 0.0 } else { (difference / TAU).round() };
             (difference - TAU * turns).abs() < POSITION_TOLERANCE
         })
     })
@@ -252,8 +249,8 @@ fn unrefined(map: JointMap, price: f64) -> JointProposal {
 
 fn moves_enough(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
     let [low, high] = view.spans[map.from[joint]];
-    let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
-    factor.abs() * (high - low) > if slides { MIN_MOTION_M } else { MIN_MOTION_RAD }
+    let least = if view.chain.slides(joint) { MIN_MOTION_M } else { MIN_MOTION_RAD };
+    factor.abs() * (high - low) > least
 }
 
 fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
@@ -321,11 +318,9 @@ fn subsets_in_degrees(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProp
     const PRICE_OF_JOINT: f64 = 0.01;
     /// No joint turns further, rad.
     const MAX_TURN_RAD: f64 = 2.0 * TAU;
-    let kinds = view.chain.joint_kinds();
     let is_far =
         |joint: &usize| view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD);
-    let turning = (0..kinds.len()).filter(|joint| kinds[*joint] != JointKind::Prismatic);
-    let (far, near): (Vec<usize>, Vec<usize>) = turning.partition(is_far);
+    let (far, near): (Vec<usize>, Vec<usize>) = view.chain.turning_joints().partition(is_far);
     if far.is_empty() || near.len() > MAX_SUBSET_JOINTS {
         return Vec::new();
     }
@@ -353,11 +348,8 @@ fn common_gear(
     const FACTOR_STEP: f64 = 1.04;
     /// Of the factor, from 1. No unit differs by so little.
     const MIN_DIFFERENCE: f64 = 0.05;
-    let kinds = view.chain.joint_kinds();
-    let turning: Vec<usize> = moving_joints(view, base)
-        .into_iter()
-        .filter(|&joint| kinds[joint] != JointKind::Prismatic)
-        .collect();
+    let mut turning = moving_joints(view, base);
+    turning.retain(|joint| !view.chain.slides(*joint));
     let widest = turning
         .iter()
         .map(|&joint| {
@@ -403,9 +395,7 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
 /// estimated one (wrists with concentric gear trains).
 fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
-    let kinds = view.chain.joint_kinds();
-    let turning: Vec<usize> =
-        (0..kinds.len()).filter(|&joint| kinds[joint] != JointKind::Prismatic).collect();
+    let turning: Vec<usize> = view.chain.turning_joints().collect();
     let driving = moving_joints(view, &none);
     let pairs = turning.iter().flat_map(|&joint| {
         let driving = driving.iter().filter(|by| turning.contains(by));
@@ -444,7 +434,7 @@ fn single_joint(
     freedom: FreeFrames,
     joint: usize,
 ) -> Vec<JointProposal> {
-    let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+    let slides = view.chain.slides(joint);
     let own = base.factor[joint];
     let moves = |factor: f64| moves_enough(view, base, joint, factor);
     let zero_of = |factor: f64| {
@@ -508,11 +498,10 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
     let thin = view.thinned(16);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
-    let kinds = view.chain.joint_kinds();
     let can_move = moving_joints(view, &none);
     let mut firsts: Vec<(usize, f64, f64, f64)> = Vec::new();
-    for (joint, kind) in kinds.iter().enumerate() {
-        if *kind == JointKind::Prismatic {
+    for joint in 0..dof {
+        if view.chain.slides(joint) {
             firsts.extend([(joint, 1e-3, 0.0, 1.0), (joint, -1.0, 0.0, 1.0)]);
             continue;
         }

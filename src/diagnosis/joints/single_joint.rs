@@ -10,7 +10,6 @@ use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
 use crate::model::jacobian::PoseJacobian;
 use ground::geometry::{Pose, Vec3};
-use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
 pub(super) struct SingleJoint {
@@ -48,7 +47,7 @@ impl SingleJoint {
         joint: usize,
     ) -> Self {
         let dof = view.chain.dof();
-        let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+        let slides = view.chain.slides(joint);
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
         let (mut values, mut required) = (Vec::new(), Vec::new());

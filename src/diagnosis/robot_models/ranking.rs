@@ -15,7 +15,6 @@ use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose};
-use ground::robot::JointKind;
 use ground::stream::JointTrack;
 
 /// If all residuals are larger, inverted poses and joints in degrees are tried.
@@ -488,8 +487,8 @@ impl<'a> StreamWithFk<'a> {
             if !self.joints.at(truth_s, &mut cursor, &mut track_q, &mut track_qd) {
                 continue;
             }
-            for (at, (&column, kind)) in columns.iter().zip(chain.joint_kinds()).enumerate() {
-                let turns = self.in_degrees && *kind != JointKind::Prismatic;
+            for (at, &column) in columns.iter().enumerate() {
+                let turns = self.in_degrees && !chain.slides(at);
                 let unit = if turns { 1_f64.to_radians() } else { 1.0 };
                 q[at] = unit * track_q[column] + parameters.zeros[at];
                 qd[at] = unit * track_qd[column];

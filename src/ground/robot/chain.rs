@@ -239,6 +239,16 @@ impl Chain {
         &self.joint_kinds
     }
 
+    /// Whether a joint is prismatic.
+    pub fn slides(&self, joint: usize) -> bool {
+        self.joint_kinds[joint] == JointKind::Prismatic
+    }
+
+    /// Joints that are not prismatic.
+    pub fn turning_joints(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.dof()).filter(|joint| !self.slides(*joint))
+    }
+
     /// Limits of each coordinate's joint.
     pub fn limits(&self) -> &[Limits] {
         &self.limits
