@@ -150,8 +150,8 @@ fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
     let residual =
         |view: &InterpretedPoses| view.fitted_residual(&JointMap::as_logged(dof), FreeFrames::Both);
     let range = |view: &InterpretedPoses, joint: usize| {
-        let values = || view.q.iter().skip(joint).step_by(dof).copied();
-        values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+        let [low, high] = range_of(view.q.iter().skip(joint).step_by(dof).copied());
+        high - low
     };
     let whole_m = residual(view).combined_m(view.lever_m);
     [0, len / 4, len / 2].into_iter().any(|first| {

@@ -7,7 +7,7 @@ use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
 };
-use crate::samples::sampling::monotonic_rows;
+use crate::samples::sampling::{monotonic_rows, range_of};
 use crate::{EstimateResult, Measured};
 
 /// Between two candidate lags.
@@ -188,8 +188,8 @@ impl LatencySteps {
 
     /// Between the lowest and the highest level.
     pub(crate) fn swing_s(&self) -> f64 {
-        let lags = || self.levels.iter().map(|level| level.lag_s);
-        lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min)
+        let [low_s, high_s] = range_of(self.levels.iter().map(|level| level.lag_s));
+        high_s - low_s
     }
 
     /// Lag that remains when the steps are removed: the smallest in magnitude, s.
