@@ -12,7 +12,7 @@ use super::speed_residual::{
 };
 use super::steps::{LatencySteps, detect_steps};
 use crate::{ImuStream, PoseStream};
-use ground::stats::quantile;
+use ground::stats::{median, quantile};
 use ground::stream::{JointTrack, Orientations};
 
 const MIN_CORRELATION: f64 = 0.85;
@@ -110,8 +110,7 @@ fn detect_changes(
     let seen = pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, max_lag_s)));
     let typical = |windows: &[LagWindow]| {
         let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
-        all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2).copied().unwrap_or(0.0)
+        median(&mut all).unwrap_or(0.0)
     };
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
     let followed: Vec<&LagWindow> =

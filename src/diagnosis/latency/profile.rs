@@ -201,8 +201,7 @@ impl LatencyProfile {
     /// Median level at the stamps, s.
     pub fn typical_s(&self, t_s: &[f64]) -> f64 {
         let mut latencies: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
-        latencies.sort_by(f64::total_cmp);
-        latencies.get(latencies.len() / 2).copied().unwrap_or(0.0)
+        median(&mut latencies).unwrap_or(0.0)
     }
 
     /// Makes the levels relative to the median at the stamps.
