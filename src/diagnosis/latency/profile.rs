@@ -366,10 +366,8 @@ fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool 
     let excess = |(samples, remaining_s): RemainingLatency| {
         [0, 1].map(|kind| {
             let squares = samples.iter().map(|sample| {
-                let delta_s = remaining_s(sample.t_s);
-                let both = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
-                both.map(|(residual, velocity)| (residual + delta_s * velocity).powi(2))
-                    .sum::<f64>()
+                let residual = sample.residual + remaining_s(sample.t_s) * sample.velocity;
+                residual.fixed_rows::<3>(3 * kind).norm_squared()
             });
             let squares: f64 = squares.sum();
             (squares / (3.0 * samples.len() as f64) - 1.0).max(0.0)

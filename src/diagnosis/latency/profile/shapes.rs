@@ -2,7 +2,7 @@
 
 use super::windows::{BIN_S, Bin, Terms, Window, effective_count};
 use crate::priors::price_of_cause;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
 
 /// Levels of a latency over time.
 pub(super) enum Basis {
@@ -123,7 +123,7 @@ impl Fit {
         const TIE: f64 = 1e-5;
         let n = basis.len();
         let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        let mut velocities = vec![[0.0; 6]; n];
+        let mut velocities = vec![Vector6::<f64>::zeros(); n];
         let mut first = 0;
         for window in windows {
             let terms = |bin: usize, t_s: f64| basis.terms(first + bin, t_s);

@@ -3,7 +3,7 @@
 use super::{LatencySample, typical_std_error_s};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector6};
 
 /// The residual has a free constant in each window.
 const WINDOW_S: f64 = 1.0;
@@ -14,8 +14,8 @@ pub(super) const BIN_S: f64 = 0.05;
 #[derive(Clone, Copy)]
 pub(super) struct NormalizedSample {
     pub t_s: f64,
-    pub residual: [f64; 6],
-    pub velocity: [f64; 6],
+    pub residual: Vector6<f64>,
+    pub velocity: Vector6<f64>,
     pub loads: [f64; 2],
     pub joint_noise: f64,
 }
@@ -29,7 +29,7 @@ pub(super) struct Bin {
     pub t_s: f64,
     /// Of its first sample.
     pub loads: [f64; 2],
-    pub velocity: [f64; 6],
+    pub velocity: Vector6<f64>,
     pub squared_velocity: f64,
     /// Of velocity and residual.
     pub product: f64,
@@ -42,7 +42,7 @@ pub(super) struct Window {
     /// Variances of the samples' noise per variance of independent noise.
     scale: f64,
     samples: f64,
-    residual: [f64; 6],
+    residual: Vector6<f64>,
     squared_residual: f64,
     /// With the best constant latency beyond the compensated one.
     constant_square: f64,
@@ -55,9 +55,9 @@ impl Window {
         let (mut square, mut sum) = (self.squared_residual, self.residual);
         for (bin, latency_s) in self.bins.iter().zip(latencies_s) {
             square += latency_s * (2.0 * bin.product + latency_s * bin.squared_velocity);
-            add(&mut sum, &bin.velocity, latency_s);
+            sum += latency_s * bin.velocity;
         }
-        self.scale * (square - dot(&sum, &sum) / self.samples - self.constant_square)
+        self.scale * (square - sum.norm_squared() / self.samples - self.constant_square)
     }
 
     /// Adds the normal equations of the levels of a latency. `terms` are a bin's levels with their factors.
@@ -66,7 +66,7 @@ impl Window {
         terms: impl Fn(usize, f64) -> Terms,
         matrix: &mut DMatrix<f64>,
         right: &mut DVector<f64>,
-        velocities: &mut [[f64; 6]],
+        velocities: &mut [Vector6<f64>],
     ) {
         let (mut first, mut last) = (usize::MAX, 0);
         for (at, bin) in self.bins.iter().enumerate() {
@@ -75,7 +75,7 @@ impl Window {
             for (row, a) in terms() {
                 (first, last) = (first.min(row), last.max(row));
                 right[row] -= self.scale * a * bin.product;
-                add(&mut velocities[row], &bin.velocity, a);
+                velocities[row] += a * bin.velocity;
                 for (column, b) in terms() {
                     matrix[(row, column)] += self.scale * a * b * bin.squared_velocity;
                 }
@@ -83,12 +83,12 @@ impl Window {
         }
         let share = self.scale / self.samples;
         for row in first..=last {
-            right[row] += share * dot(&velocities[row], &self.residual);
+            right[row] += share * velocities[row].dot(&self.residual);
             for column in first..=last {
-                matrix[(row, column)] -= share * dot(&velocities[row], &velocities[column]);
+                matrix[(row, column)] -= share * velocities[row].dot(&velocities[column]);
             }
         }
-        velocities[first..=last].fill([0.0; 6]);
+        velocities[first..=last].fill(Vector6::zeros());
     }
 
     /// The same with a constant latency.
@@ -96,13 +96,13 @@ impl Window {
         let Self { t_s, latency_s, .. } = *self;
         let (squared_velocity, value) = (latency_s.std_error.powi(-2), latency_s.value);
         let product = -value * squared_velocity;
-        let (loads, velocity) = ([0.0; 2], [0.0; 6]);
+        let (loads, velocity) = ([0.0; 2], Vector6::zeros());
         Self {
             t_s,
             latency_s,
             scale: 1.0,
             samples: 1.0,
-            residual: [0.0; 6],
+            residual: Vector6::zeros(),
             squared_residual: value * value * squared_velocity,
             constant_square: 0.0,
             bins: vec![Bin { t_s, loads, velocity, squared_velocity, product }],
@@ -122,32 +122,25 @@ impl Window {
         if samples.len() < MIN_SAMPLES {
             return None;
         }
-        let mean = |of: &dyn Fn(&NormalizedSample) -> [f64; 6]| {
-            let mut sum = [0.0; 6];
-            samples.iter().for_each(|sample| add(&mut sum, &of(sample), n.recip()));
-            sum
-        };
-        let (mean_residual, mean_v) = (mean(&|sample| sample.residual), mean(&|s| s.velocity));
+        let mean_residual = samples.iter().map(|sample| sample.residual).sum::<Vector6<f64>>() / n;
+        let mean_velocity = samples.iter().map(|sample| sample.velocity).sum::<Vector6<f64>>() / n;
         let centred = |sample: &NormalizedSample| {
-            let residual: [f64; 6] = std::array::from_fn(|i| sample.residual[i] - mean_residual[i]);
-            let velocity: [f64; 6] = std::array::from_fn(|i| sample.velocity[i] - mean_v[i]);
-            (residual, velocity)
+            (sample.residual - mean_residual, sample.velocity - mean_velocity)
         };
         let (mut information, mut product) = (0.0, 0.0);
         for (residual, velocity) in samples.iter().map(centred) {
-            information += dot(&velocity, &velocity);
-            product += dot(&velocity, &residual);
+            information += velocity.norm_squared();
+            product += velocity.dot(&residual);
         }
         if information <= 0.0 {
             return None;
         }
         let delta_s = -product / information;
-        let rest = samples.iter().map(centred).map(|(residual, velocity)| -> [f64; 6] {
-            std::array::from_fn(|i| residual[i] + delta_s * velocity[i])
-        });
-        let rest: Vec<[f64; 6]> = rest.collect();
-        let constant_square: f64 = rest.iter().map(|rest| dot(rest, rest)).sum();
-        let lagged: f64 = rest.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+        let rest = samples.iter().map(centred);
+        let rest: Vec<Vector6<f64>> =
+            rest.map(|(residual, velocity)| residual + delta_s * velocity).collect();
+        let constant_square: f64 = rest.iter().map(|rest| rest.norm_squared()).sum();
+        let lagged: f64 = rest.windows(2).map(|pair| pair[0].dot(&pair[1])).sum();
         let rho = (lagged / constant_square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
         // The slope and each component's mean use them up.
         let free = components * (samples.len() - 1) - 1;
@@ -159,35 +152,34 @@ impl Window {
         let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n;
         let std_error = std_error_s.hypot(joint_noise / (information / rows).sqrt());
         // Acceleration adds a residual of the second order in the latency.
-        let square = |velocity: &[f64; 6]| dot(velocity, velocity);
         let accelerations = samples.windows(2).map(|pair| {
-            let mut change = pair[1].velocity;
-            add(&mut change, &pair[0].velocity, -1.0);
-            square(&change) / (pair[1].t_s - pair[0].t_s).powi(2)
+            let change = pair[1].velocity - pair[0].velocity;
+            change.norm_squared() / (pair[1].t_s - pair[0].t_s).powi(2)
         });
-        let squared_velocity: f64 = samples.iter().map(|sample| square(&sample.velocity)).sum();
+        let squared_velocity: f64 =
+            samples.iter().map(|sample| sample.velocity.norm_squared()).sum();
         let rate = (accelerations.sum::<f64>() / squared_velocity).sqrt();
         let std_error = std_error.hypot(0.5 * rate * delta_s * delta_s);
         let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n;
         let value = delta_s + compensated_s(t_s);
-        let (mut residual, mut squared_residual, mut bins) = ([0.0; 6], 0.0, Vec::new());
+        let (mut residual, mut squared_residual) = (Vector6::zeros(), 0.0);
+        let mut bins = Vec::new();
         let bin_of = |sample: &NormalizedSample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
         for own in samples.chunk_by(|a, b| bin_of(a) == bin_of(b)) {
             let mut bin = Bin {
                 t_s: own.iter().map(|sample| sample.t_s).sum::<f64>() / own.len() as f64,
                 loads: own[0].loads,
-                velocity: [0.0; 6],
+                velocity: Vector6::zeros(),
                 squared_velocity: 0.0,
                 product: 0.0,
             };
             for sample in own {
-                let mut logged = sample.residual;
-                add(&mut logged, &sample.velocity, -compensated_s(sample.t_s));
-                add(&mut residual, &logged, 1.0);
-                squared_residual += dot(&logged, &logged);
-                add(&mut bin.velocity, &sample.velocity, 1.0);
-                bin.squared_velocity += dot(&sample.velocity, &sample.velocity);
-                bin.product += dot(&sample.velocity, &logged);
+                let logged = sample.residual - compensated_s(sample.t_s) * sample.velocity;
+                residual += logged;
+                squared_residual += logged.norm_squared();
+                bin.velocity += sample.velocity;
+                bin.squared_velocity += sample.velocity.norm_squared();
+                bin.product += sample.velocity.dot(&logged);
             }
             bins.push(bin);
         }
@@ -202,14 +194,6 @@ impl Window {
             bins,
         })
     }
-}
-
-fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-fn add(sum: &mut [f64; 6], addend: &[f64; 6], factor: f64) {
-    sum.iter_mut().zip(addend).for_each(|(sum, addend)| *sum += factor * addend);
 }
 
 /// Noise of each kind, from differences between samples, m and rad.
@@ -230,7 +214,7 @@ pub(super) fn normalized(
     logged_s: impl Fn(f64) -> f64,
 ) -> Vec<NormalizedSample> {
     let scaled =
-        |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
+        |parts: &[Vec3; 2]| Vector6::from_fn(|at, _| parts[at / 3][at % 3] / noise[at / 3]);
     let sample = |of: &LatencySample| NormalizedSample {
         t_s: logged_s(of.t_s),
         residual: scaled(&of.residual),
