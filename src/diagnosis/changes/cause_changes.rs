@@ -1047,7 +1047,6 @@ mod tests {
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, Confounder, Course, PoseStream, diagnose_run};
     use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Diagnosis of poses of the deviating arm in a world and a marker frame that are unknown, with 0.1 mm of noise.
     fn diagnosed(link_m: f64, changes: impl Fn(f64) -> [Vec3; 2]) -> ArmDiagnosis {
@@ -1063,13 +1062,7 @@ mod tests {
             logged.translation.vector += Vec3::from(random.triple(1e-4));
             (logged.translation.vector, logged.rotation)
         });
-        let (xyz, rotations) = poses.unzip();
-        let track = PoseTrack {
-            t_s: joints.t_s.clone(),
-            xyz,
-            orientation: Orientations::Rotations(rotations),
-            declared: None,
-        };
+        let track = test_motion::pose_track(&joints.t_s, poses);
         let stream =
             PoseStream { reference_known: false, ..test_motion::tip_stream(&track, &chain) };
         diagnose_run(&joints, &[stream], &[false; 6], 1.0)
@@ -1086,9 +1079,7 @@ mod tests {
             let turn = rotation_from_rotvec(turn.into());
             (pose.translation.vector + Vec3::from(shift), turn * pose.rotation)
         });
-        let (xyz, rotations) = poses.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = test_motion::pose_track(&joints.t_s, poses);
         for (row, q) in joints.q.chunks_mut(6).enumerate() {
             let t_s = joints.t_s[row];
             q.iter_mut().enumerate().for_each(|(joint, q)| *q -= missing(t_s, joint).to_radians());

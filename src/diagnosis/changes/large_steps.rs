@@ -140,11 +140,10 @@ fn turned_back(mut track: PoseTrack, left: &Pose, right: &Pose) -> PoseTrack {
 
 #[cfg(test)]
 mod tests {
-    use crate::test_motion::{arm, deviating_chain, tip_stream};
+    use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, diagnose_run};
     use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-    use ground::stream::{Orientations, PoseTrack};
     use std::ops::Range;
 
     /// Diagnosis of an arm that deviates by 0.1 mm. Its base, its tool and a joint zero turn in mid-run.
@@ -162,9 +161,7 @@ mod tests {
             let turned = if span_s.contains(&t_s) { base * fk * tool } else { fk };
             (turned.translation.vector + Vec3::from(random.triple(2e-5)), turned.rotation)
         });
-        let (xyz, rotations) = poses.unzip();
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+        let track = pose_track(&joints.t_s, poses);
         for (q, t_s) in joints.q.chunks_mut(6).zip(&joints.t_s) {
             q[JOINT] -= if span_s.contains(t_s) { zero_rad } else { 0.0 };
         }

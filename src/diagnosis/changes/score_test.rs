@@ -328,7 +328,6 @@ mod tests {
     use crate::test_motion;
     use crate::test_random::Lcg;
     use ground::geometry::Vec3;
-    use ground::stream::{Orientations, PoseTrack};
 
     /// Likeliest step of 20 s of poses with 5 mm of noise, whose latency and tool depend on time.
     fn likeliest_step_of(
@@ -338,17 +337,15 @@ mod tests {
         let (joints, chain) = test_motion::arm();
         let mut random = Lcg::new();
         let (mut q, mut qd, mut cursor) = (vec![0.0; 6], vec![0.0; 6], 0);
-        let (mut t_s, mut xyz, mut rotations) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut t_s, mut poses) = (Vec::new(), Vec::new());
         for at_s in (10..980).map(|row| f64::from(row) * 0.02) {
             assert!(joints.at(at_s - latency_s(at_s), &mut cursor, &mut q, &mut qd));
             let pose = chain.forward(&q);
             let tip = pose * nalgebra::Point3::new(0.0, tool_m(at_s), 0.0);
             t_s.push(at_s);
-            xyz.push(tip.coords + Vec3::from(random.triple(5e-3)));
-            rotations.push(pose.rotation);
+            poses.push((tip.coords + Vec3::from(random.triple(5e-3)), pose.rotation));
         }
-        let orientation = Orientations::Rotations(rotations);
-        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        let track = test_motion::pose_track(&t_s, poses);
         let stream = test_motion::tip_stream(&track, &chain);
         let diagnosis = diagnose_arm(&joints, &[stream], 1.0);
         let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
