@@ -65,11 +65,10 @@ fn without_constant_orientation(
     if is_explained || max_angle(rotations) >= MAX_CHANGE_RAD {
         return None;
     }
-    let PoseStream { chain, columns, track, .. } = *stream;
-    let (_, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let (_, fk) = slow_samples(joints, stream, 0.0);
     let by_fk: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    (max_angle(&by_fk) > MIN_TURN_RAD)
-        .then(|| PoseTrack { orientation: Orientations::Unset(rotations.len()), ..track.clone() })
+    let orientation = Orientations::Unset(rotations.len());
+    (max_angle(&by_fk) > MIN_TURN_RAD).then(|| PoseTrack { orientation, ..stream.track.clone() })
 }
 
 /// Diagnosis of the joint states by the streams that FK of the joint states does not explain, if these show joint zeros or

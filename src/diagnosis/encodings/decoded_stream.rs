@@ -76,7 +76,7 @@ pub(crate) fn decode_stream<'a>(
     let peaks = placement.peaks.clone();
     let peak_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
     let lag_s = if follows_as_logged(joints, stream) { 0.0 } else { peak_s };
-    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+    let (rows, fk) = slow_samples(joints, stream, lag_s);
     if rows.is_empty() {
         return Err(NotObservable::NoOverlap);
     }

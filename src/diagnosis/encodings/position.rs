@@ -48,7 +48,7 @@ impl PositionEncodingEstimate {
     ) -> Self {
         /// Relative to the extent; below it, no further lag is tried.
         const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
-        let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+        let PoseStream { track, chain, reference_known, .. } = *stream;
         peaks.retain(|peak| peak.correlation > MIN_SPEED_CORRELATION);
         let read_as_m = metres_per_unit(track);
         let reach_m = chain.max_reach_m();
@@ -64,7 +64,7 @@ impl PositionEncodingEstimate {
         let lags = placement.peaks.iter().take(lag_count).map(|peak| peak.lag_s).chain([0.0]);
         let mut min_residual_m = f64::INFINITY;
         for lag_s in lags.collect::<Vec<f64>>() {
-            let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+            let (rows, fk) = slow_samples(joints, stream, lag_s);
             if rows.len() < 2 {
                 continue;
             }
@@ -198,8 +198,8 @@ pub(crate) fn metres_from_size(
 
 /// Factor to metres by size alone; 1 if undetermined.
 pub(crate) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
-    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let PoseStream { track, chain, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, stream, 0.0);
     let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     if at.len() < 2 {
@@ -270,9 +270,9 @@ fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
 pub(crate) fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
     /// Relative to FK's extent.
     const MAX_POSITION_ERROR_SHARE: f64 = 0.02;
-    let PoseStream { track, chain, columns, .. } = *stream;
+    let track = stream.track;
     let Some(rotations) = as_rotations(&track.orientation) else { return false };
-    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let (rows, fk) = slow_samples(joints, stream, 0.0);
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let most_m = MAX_POSITION_ERROR_SHARE * spread(&at);
     let is_there = |(&row, fk): (&usize, &Pose)| {

@@ -62,8 +62,8 @@ impl SlowPositions {
         scale: f64,
         latency_s: f64,
     ) -> Option<Self> {
-        let PoseStream { track, chain, columns, .. } = *stream;
-        let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, latency_s);
+        let track = stream.track;
+        let (rows, fk) = slow_samples(joints, stream, latency_s);
         let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
         let inverse_xyz = as_rotations(&track.orientation).map(|all| {
             let inverse = rows.iter().zip(&xyz).map(|(&row, p)| -(all[row].inverse() * p));

@@ -1,6 +1,6 @@
 //! Selects samples of a stream.
 
-use crate::{EstimateResult, NotObservable};
+use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
@@ -87,16 +87,15 @@ impl<'a> FkSequence<'a> {
     }
 }
 
-/// Slow samples over the run, with FK.
+/// Slow samples of a stream over the run, with FK.
 pub(crate) fn slow_samples(
     joints: &JointTrack,
-    chain: &Chain,
-    columns: &[usize],
-    t_s: &[f64],
+    stream: &PoseStream,
     lag_s: f64,
 ) -> (Vec<usize>, Vec<Pose>) {
     /// The slow half of these is used.
     const MAX_SAMPLES: usize = 4000;
+    let t_s = &stream.track.t_s;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut slowest: Vec<(usize, f64)> = Vec::new();
     let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
@@ -112,7 +111,7 @@ pub(crate) fn slow_samples(
     rows.sort_unstable();
     let step = rows.len().div_ceil(ENCODING_SAMPLES).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    let mut fk = FkSequence::new(joints, chain, columns);
+    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
     let fk = rows.iter().filter_map(|&k| fk.at(t_s[k] - lag_s)).collect();
     (rows, fk)
 }
