@@ -1,10 +1,11 @@
 //! Jumps of recorded numbers that motion and noise do not explain, and gaps.
 
 use crate::latency::correlation::median_period_s;
+use crate::model::jacobian::pose_change;
 use crate::residuals::cause_columns::LEVER_M;
 use crate::residuals::residual_check::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
-use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::geometry::Vec3;
 use ground::stats::quantile;
 use ground::stream::JointTrack;
 
@@ -30,10 +31,9 @@ pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> 
     /// Numerical floor.
     const FLOOR_M: f64 = 1e-5;
     let AlignedSamples { t_s, logged: poses, .. } = align_with_fk(joints, stream, 0.0);
-    let step = |row: usize| -> [Vec3; 2] {
-        let (a, b) = (&poses[row - 1], &poses[row]);
-        let rotation = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
-        [b.translation.vector - a.translation.vector, rotation * LEVER_M]
+    let step = |row: usize| {
+        let [shift, turn] = pose_change(&poses[row - 1], &poses[row]);
+        [shift, turn * LEVER_M]
     };
     let steps: Vec<[Vec3; 2]> = (1..poses.len()).map(step).collect();
     let of_kind = |kind: usize| {

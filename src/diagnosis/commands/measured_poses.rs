@@ -2,8 +2,9 @@
 
 use super::rest::{Rest, mean_pose, poses_within};
 use crate::PoseSeries;
+use crate::model::jacobian::pose_change;
 use crate::solver::noise::Noise;
-use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::geometry::Vec3;
 use ground::stats::MeasuredLength;
 
 pub(super) struct MeasuredPoses<'a> {
@@ -21,8 +22,8 @@ pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
         let poses = poses_within(series, rest.from_s, rest.to_s);
         let Some(mean) = mean_pose(poses) else { continue };
         for pose in poses {
-            let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
-            metres.push((pose.translation.vector - mean.translation.vector).into());
+            let [shift, turn] = pose_change(&mean, pose);
+            metres.push(shift.into());
             radians.push(turn.into());
         }
     }

@@ -14,9 +14,10 @@ use self::delay::is_streamed;
 pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
 pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErrorSpread};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
+use crate::model::jacobian::pose_change;
 use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
-use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::Measured;
 use ground::stream::JointTrack;
@@ -286,8 +287,7 @@ fn rest_error(
         return None;
     }
     let commanded = commands.series.poses[command.last];
-    let shift = commanded.translation.vector - measured.translation.vector;
-    let turn = rotvec_from_rotation(&(commanded.rotation * measured.rotation.inverse()));
+    let [shift, turn] = pose_change(&measured, &commanded);
     Some(RestError {
         from_s,
         to_s,

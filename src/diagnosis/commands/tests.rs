@@ -1,7 +1,9 @@
 use super::line::detect_lines;
 use super::*;
 use crate::test_motion::noise;
-use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
+use ground::geometry::{
+    Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy, rotvec_from_rotation,
+};
 use ground::robot::catalogue;
 
 /// Smooth step over one second.
