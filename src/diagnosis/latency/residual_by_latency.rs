@@ -2,7 +2,7 @@
 
 use crate::samples::sampling::FkSequence;
 use crate::{PoseDiagnosis, PoseStream};
-use ground::geometry::angle_between;
+use ground::geometry::Vec3;
 use ground::stream::JointTrack;
 
 /// Residual at one latency.
@@ -36,19 +36,17 @@ pub fn residual_by_latency(
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     let step = aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for row in (0..aligned.t_s.len()).step_by(step) {
-        let (stamp_s, corrected) = (aligned.t_s[row], &aligned.corrected[row]);
-        let residuals: Option<Vec<(f64, f64)>> = latencies_s
-            .iter()
-            .map(|latency_s| {
-                let fk = sequence.at(stamp_s - latency_s - skew * (stamp_s - middle_s))?;
-                let distance_m = (fk.translation.vector - corrected.translation.vector).norm();
-                Some((distance_m, angle_between(&fk.rotation, &corrected.rotation)))
-            })
-            .collect();
+        let stamp_s = aligned.t_s[row];
+        let residual = |latency_s: &f64| {
+            let fk = sequence.at(stamp_s - latency_s - skew * (stamp_s - middle_s))?;
+            Some(aligned.residual(row, &fk))
+        };
+        let residuals: Option<Vec<[Vec3; 2]>> = latencies_s.iter().map(residual).collect();
         let Some(residuals) = residuals else { continue };
         compared += 1;
-        for (square, (m, rad)) in squares.iter_mut().zip(residuals) {
-            *square = (square.0 + m * m, square.1 + rad * rad);
+        for ((m, rad), [shift, turn]) in squares.iter_mut().zip(residuals) {
+            *m += shift.norm_squared();
+            *rad += turn.norm_squared();
         }
     }
     if compared < MIN_SAMPLES {
