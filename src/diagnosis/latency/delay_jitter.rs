@@ -2,6 +2,7 @@
 //! differ, and a robust fit estimates neither. The delay of a sample is its error along the motion divided
 //! by the speed, if the motion is fast.
 
+use crate::residuals::excess::mean_of;
 use crate::{AlignedSamples, Measured};
 use ground::geometry::Vec3;
 use ground::stats::median;
@@ -53,26 +54,22 @@ pub(crate) fn estimate_delay_jitter(
         return None;
     }
     let mean = |part: &[SampleDelay]| values(part).iter().sum::<f64>() / part.len() as f64;
-    let blocks = || all.chunks(all.len().div_ceil(BLOCKS));
-    let of_blocks = |of: &dyn Fn(&[SampleDelay]) -> f64| {
-        let values: Vec<f64> = blocks().map(of).collect();
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let spread: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-        ((spread / (n - 1.0)) / n).sqrt()
+    let std_error = |of: &dyn Fn(&[SampleDelay]) -> f64| {
+        let blocks = all.chunks(all.len().div_ceil(BLOCKS));
+        mean_of(&blocks.map(of).collect::<Vec<f64>>()).std_error
     };
     let middle = |part: &[SampleDelay]| median(&mut values(part)).unwrap_or(middle_s);
     let difference_s = mean(&all) - middle_s;
     let is_skewed = difference_s.abs()
-        > MIN_DIFFERENCE_S.max(MIN_STD_ERRORS * of_blocks(&|part| mean(part) - middle(part)));
+        > MIN_DIFFERENCE_S.max(MIN_STD_ERRORS * std_error(&|part| mean(part) - middle(part)));
     let measured = |additional_s: f64, std_error: f64| Measured {
         value: latency_s + additional_s,
         std_error,
         dof: BLOCKS as f64 - 1.0,
     };
     is_skewed.then(|| DelayJitter {
-        median_s: measured(middle_s, of_blocks(&middle)),
-        mean_s: measured(mean(&all), of_blocks(&mean)),
+        median_s: measured(middle_s, std_error(&middle)),
+        mean_s: measured(mean(&all), std_error(&mean)),
         scatter_s: (spread / all.len() as f64).sqrt(),
         scatter_m: (along / all.len() as f64).sqrt(),
     })
