@@ -4,6 +4,7 @@ use super::rotation::{
     LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
 };
 use crate::latency::correlation::stream_lag_s;
+use crate::samples::sampling::FkSequence;
 use crate::{AxesError, PoseEncoding, PoseStream};
 use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
@@ -35,17 +36,10 @@ pub fn reinterpret_poses(
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let Orientations::Rotations(logged) = &track.orientation else { return None };
     let lag_s = stream_lag_s(joints, stream, max_lag_s);
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let expected: Vec<Option<Rotation>> = track
-        .t_s
-        .iter()
-        .map(|stamp| {
-            joints.at(stamp - lag_s, &mut cursor, &mut q, &mut qd).then(|| {
-                let own: Vec<f64> = columns.iter().map(|&column| q[column]).collect();
-                known[0] * chain.forward(&own).rotation
-            })
-        })
-        .collect();
+    let mut fk = FkSequence::new(joints, chain, columns);
+    let expected =
+        track.t_s.iter().map(|stamp_s| Some(known[0] * fk.at(stamp_s - lag_s)?.rotation));
+    let expected: Vec<Option<Rotation>> = expected.collect();
     let candidates = decode_rotations(logged, &intended, &expected, &known[1], reference_known)?;
     let is_inverted = intended.is_inverted || matches!(intended.encoding, PoseEncoding::Inverted);
     let xyz = candidates.iter().zip(&track.xyz).map(|(rotation, xyz)| {
