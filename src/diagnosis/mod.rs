@@ -297,7 +297,7 @@ pub enum LastTurn {
 }
 
 /// Encoding under which a stream follows the arm.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseEncoding {
     /// As logged.
     AsLogged,

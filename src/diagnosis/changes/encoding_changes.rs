@@ -391,9 +391,8 @@ type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     let of = |diagnosis: &PoseDiagnosis| {
-        let best = diagnosis.encoding.as_ref().ok().map(|reading| reading.best);
-        let other = best.filter(|best| !matches!(best, PoseEncoding::AsLogged));
-        (other.map(|best| format!("{best:?}")), diagnosis.is_inverted)
+        let best = diagnosis.encoding.as_ref().map_or(PoseEncoding::AsLogged, |it| it.best);
+        (best, diagnosis.is_inverted)
     };
     of(a) == of(b)
 }

@@ -289,9 +289,8 @@ pub(crate) fn estimate_imu_encoding(
         .unwrap_or(&fits[0]);
     let near_best = max_similar(best.residual_rad);
     let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
-    let others = fits.iter().filter(|fit| {
-        fit.frames == best.frames && !is_same_encoding(&fit.encoding, &best.encoding)
-    });
+    let others =
+        fits.iter().filter(|fit| fit.frames == best.frames && fit.encoding != best.encoding);
     let (equivalent, worse): (Vec<&EncodingFit>, Vec<&EncodingFit>) =
         others.partition(|fit| fit.residual_rad <= near_best);
     let runner_up = worse.into_iter().min_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
@@ -322,7 +321,7 @@ fn ranking<'a>(fits: &'a [EncodingFit], best: &EncodingFit) -> Vec<&'a EncodingF
     let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
         *rank < MAX_RANKED
             || matches!(fit.encoding, PoseEncoding::AsLogged)
-            || is_same_encoding(&fit.encoding, &best.encoding)
+            || fit.encoding == best.encoding
     };
     let kept = same_frames.into_iter().enumerate().filter(is_kept);
     kept.map(|(_, fit)| fit).collect()
@@ -356,15 +355,6 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
     // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
     all > 0.0 && gravity.z < MIN_UPRIGHT_COSINE * gravity.norm().max(0.5 * all)
-}
-
-fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
-    match (a, b) {
-        (PoseEncoding::Misinterpreted(a), PoseEncoding::Misinterpreted(b)) => std::ptr::eq(*a, *b),
-        (PoseEncoding::QuaternionOrder(a), PoseEncoding::QuaternionOrder(b)) => a == b,
-        (PoseEncoding::Numbers(a), PoseEncoding::Numbers(b)) => a == b,
-        _ => std::mem::discriminant(a) == std::mem::discriminant(b),
-    }
 }
 
 /// Rank by faults; lower is simpler. Rotation of an unknown reference does not count.

@@ -83,7 +83,7 @@ fn is_same(a: &Rotation, b: &Rotation) -> bool {
 }
 
 /// Misinterpretations that are the same map; no log distinguishes them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MisinterpretationClass {
     /// By the ranks of both conventions ([`Convention::usual_rank`]), then those read as `euler:xyz`. Never
     /// empty.
