@@ -2,9 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::orientation_samples::{
-    MAX_ENCODING_RESIDUAL_RAD, OrientationSamples, PositionInterpretation,
-};
+use super::orientation_samples::{MAX_ENCODING_RESIDUAL_RAD, PositionInterpretation};
 use super::position::{PositionEncodingEstimate, follows_as_logged};
 use super::rotation::{
     EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationCorrections,
@@ -89,12 +87,14 @@ pub(crate) fn decode_stream<'a>(
     let (orientation, degrees) =
         (other.0.map_or(Cow::Borrowed(&track.orientation), Cow::Owned), other.1);
     let there = at_rows(&orientation, &rows);
-    let turning = OrientationSamples {
+    let turning = RotationSamples {
         logged: LoggedRotations::from_orientations(&there),
         fk: &turning,
+        reference_free: true,
         reference_known,
         are_quaternions: are_quaternions(track),
         only_as_logged: placement.rotations_as_logged,
+        after: RotationCorrections::default(),
     };
     let unanchored = PositionInterpretation::unanchored(placement.metres());
     let (interpretation, encoding, fit) = match is_set(&there, turning.fk) {

@@ -92,23 +92,15 @@ fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
 }
 
-/// Orientations with FK at the same times.
-pub(crate) struct OrientationSamples<'a> {
-    pub logged: LoggedRotations<'a>,
-    pub fk: &'a [Rotation],
-    pub reference_known: bool,
-    pub are_quaternions: bool,
-    pub only_as_logged: bool,
-}
-
-impl OrientationSamples<'_> {
+impl RotationSamples<'_> {
     /// Rotation encoding under one interpretation, with its rotated reference.
-    pub fn estimate_encoding(
+    fn estimate_encoding(
         &self,
         interpretation: &PositionInterpretation,
     ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
         let turned = self.rotated(interpretation);
-        let (mut encoding, mut fit) = estimate_encoding(&self.samples(interpretation, &turned))?;
+        let (mut encoding, mut fit) =
+            estimate_encoding(&self.interpreted(interpretation, &turned))?;
         fit.reference *= interpretation.reference.unwrap_or_default();
         if interpretation.axes != AxesError::NONE {
             encoding.as_logged_rad = self.as_logged_rad();
@@ -117,9 +109,9 @@ impl OrientationSamples<'_> {
     }
 
     /// Smallest residual of the simplest encodings, rad.
-    pub fn simplest_residual_rad(&self, interpretation: &PositionInterpretation) -> f64 {
+    fn simplest_residual_rad(&self, interpretation: &PositionInterpretation) -> f64 {
         let turned = self.rotated(interpretation);
-        let samples = self.samples(interpretation, &turned);
+        let samples = self.interpreted(interpretation, &turned);
         let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
             .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder));
@@ -132,29 +124,27 @@ impl OrientationSamples<'_> {
         fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     }
 
-    pub fn rotated(&self, interpretation: &PositionInterpretation) -> Vec<Rotation> {
+    fn rotated(&self, interpretation: &PositionInterpretation) -> Vec<Rotation> {
         let reference = interpretation.reference.unwrap_or_default();
         self.fk.iter().map(|fk| reference * fk).collect()
     }
 
-    pub fn samples<'s>(
+    fn interpreted<'s>(
         &'s self,
         interpretation: &PositionInterpretation,
         turned: &'s [Rotation],
     ) -> RotationSamples<'s> {
         RotationSamples {
-            logged: self.logged,
             fk: turned,
             reference_free: interpretation.reference.is_none(),
             reference_known: self.reference_known || interpretation.reference.is_some(),
-            are_quaternions: self.are_quaternions,
-            only_as_logged: self.only_as_logged,
             after: interpretation.corrections(),
+            ..*self
         }
     }
 
     /// Rms angle of logged rotations to FK, rad.
-    pub fn as_logged_rad(&self) -> Option<f64> {
+    fn as_logged_rad(&self) -> Option<f64> {
         let LoggedRotations::Rotations(logged) = self.logged else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
