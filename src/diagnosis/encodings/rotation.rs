@@ -12,6 +12,7 @@ use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::priors::ZERO_PRIOR;
 use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
+use crate::solver::robust::{kept_samples, trimmed_rms};
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
     Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
@@ -568,23 +569,13 @@ fn residual(
     reference: &Rotation,
     tool: &Rotation,
 ) -> f64 {
-    let mut squares: Vec<f64> = fk
-        .iter()
-        .enumerate()
-        .map(|(sample, fk)| {
-            let expected = reference * fk * tool;
-            nearest(candidates.of_sample(sample), &expected)
-                .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
-                .powi(2)
-        })
-        .collect();
-    let kept = kept_samples(squares.len());
-    squares.sort_unstable_by(f64::total_cmp);
-    (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
-}
-
-fn kept_samples(count: usize) -> usize {
-    (count * 9).div_ceil(10)
+    let squares = fk.iter().enumerate().map(|(sample, fk)| {
+        let expected = reference * fk * tool;
+        nearest(candidates.of_sample(sample), &expected)
+            .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
+            .powi(2)
+    });
+    trimmed_rms(squares.collect())
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::robust::trimmed_rms;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::stream::JointTrack;
 
@@ -568,13 +569,6 @@ pub(crate) fn extent(xyz: &[Vec3]) -> f64 {
     });
     let middle = Vec3::from(middle);
     trimmed_rms(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
-}
-
-/// Rms of the smallest 90 %.
-fn trimmed_rms(mut squares: Vec<f64>) -> f64 {
-    squares.sort_by(f64::total_cmp);
-    let kept = (9 * squares.len()).div_ceil(10);
-    (squares[..kept].iter().sum::<f64>() / kept.max(1) as f64).sqrt()
 }
 
 #[derive(Clone, Copy)]

@@ -39,6 +39,18 @@ pub(crate) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
     STD_DEV_PER_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)
 }
 
+/// Rms of the smallest 90 %.
+pub(crate) fn trimmed_rms(mut squares: Vec<f64>) -> f64 {
+    squares.sort_unstable_by(f64::total_cmp);
+    let kept = kept_samples(squares.len());
+    (squares[..kept].iter().sum::<f64>() / kept.max(1) as f64).sqrt()
+}
+
+/// Number of samples in [`trimmed_rms`].
+pub(crate) fn kept_samples(count: usize) -> usize {
+    (9 * count).div_ceil(10)
+}
+
 /// Inverse over observable directions, and each parameter's share (0 to 1) in unobservable ones.
 pub(crate) fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
     let n = matrix.nrows();
