@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::JointPatch;
 use super::split_run::set_velocity;
 use crate::PoseDiagnosis;
+use crate::samples::sampling::rows_within;
 use ground::geometry::Pose;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -39,9 +40,7 @@ impl JointPatch {
 
     /// Rows of the segment.
     pub fn rows(&self, t_s: &[f64]) -> Range<usize> {
-        let [from, to] =
-            [self.from_s, self.to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
-        from..to
+        rows_within(t_s, self.from_s, self.to_s)
     }
 
     fn apply_to_value(&self, t_s: f64, position: &mut f64, velocity: &mut f64) {

@@ -6,6 +6,7 @@ use super::jumps::Jump;
 use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_stamps;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
+use crate::samples::sampling::rows_within;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
@@ -51,8 +52,7 @@ impl SplitRun<'_> {
 
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
         let (t_s, lag_s) = (&self.arm.streams[stream].track.t_s, self.lags[stream]);
-        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
-        from..to
+        rows_within(t_s, from_s + lag_s, to_s + lag_s)
     }
 
     /// Samples of the stream that has most.
@@ -62,20 +62,21 @@ impl SplitRun<'_> {
 
     pub fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
         let JointTrack { t_s, dof, q, qd, noise } = self.arm.joints;
-        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+        let rows = rows_within(t_s, from_s, to_s);
+        let values = rows.start * dof..rows.end * dof;
         let mut segment = JointTrack {
-            t_s: t_s[from..to].to_vec(),
+            t_s: t_s[rows.clone()].to_vec(),
             dof: *dof,
-            q: q[from * dof..to * dof].to_vec(),
-            qd: qd[from * dof..to * dof].to_vec(),
+            q: q[values.clone()].to_vec(),
+            qd: qd[values].to_vec(),
             noise: noise.clone(),
         };
         let last = segment.t_s.len().saturating_sub(1);
         (0..*dof).for_each(|column| {
-            if from > 0 {
+            if rows.start > 0 {
                 set_velocity(&mut segment, column, 0, 1);
             }
-            if to < t_s.len() {
+            if rows.end < t_s.len() {
                 set_velocity(&mut segment, column, last, last.saturating_sub(1));
             }
         });

@@ -1,6 +1,7 @@
 //! Lag of the highest correlation in each window of several seconds.
 
 use super::correlation::{SpeedSeries, lag_peaks};
+use crate::samples::sampling::rows_within;
 
 /// Window with the lag of the highest correlation.
 pub(crate) struct LagWindow {
@@ -55,6 +56,6 @@ pub(crate) fn lag_windows(
 }
 
 fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
-    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
-    SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+    let rows = rows_within(&speed.t_s, from_s, to_s);
+    SpeedSeries { t_s: speed.t_s[rows.clone()].to_vec(), value: speed.value[rows].to_vec() }
 }

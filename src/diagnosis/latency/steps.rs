@@ -7,7 +7,7 @@ use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
 };
-use crate::samples::sampling::{monotonic_rows, range_of};
+use crate::samples::sampling::{monotonic_rows, range_of, rows_within};
 use crate::{EstimateResult, Measured};
 
 /// Between two candidate lags.
@@ -160,10 +160,9 @@ impl LatencySteps {
         const LAG_SEARCH_STEP_S: f64 = 1e-3;
         let ends_s = self.levels.iter().skip(1).map(|level| level.from_s).chain([f64::INFINITY]);
         let finer = self.levels.iter().zip(ends_s).map(|(&Level { from_s, lag_s, .. }, end_s)| {
-            let [from, to] =
-                [from_s, end_s].map(|at_s| stream.t_s.partition_point(|t_s| *t_s < at_s));
-            let clear: Vec<usize> =
-                (from..to).filter(|&row| self.is_far_from_steps(stream.t_s[row])).collect();
+            let clear: Vec<usize> = rows_within(&stream.t_s, from_s, end_s)
+                .filter(|&row| self.is_far_from_steps(stream.t_s[row]))
+                .collect();
             let stride = clear.len().div_ceil(MAX_PROFILE_SAMPLES).max(1);
             let rows: Vec<usize> = clear.into_iter().step_by(stride).collect();
             let cost = |lag_s: f64| differences(arm, stream, &rows, |_| lag_s).iter().sum::<f64>();

@@ -34,6 +34,12 @@ pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usi
     (0..count).map(move |at| at * len / count..at * len / count + rows)
 }
 
+/// Rows with stamps from the first time on and before the second.
+pub(crate) fn rows_within(t_s: &[f64], from_s: f64, to_s: f64) -> Range<usize> {
+    let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+    from..to
+}
+
 /// Lowest and highest value; `[∞, −∞]` without values.
 pub fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let none = [f64::INFINITY, f64::NEG_INFINITY];
