@@ -360,7 +360,6 @@ struct Fit {
     changes: Vec<(DVector<f64>, Vec<f64>)>,
     /// Increments of the constant reference and tool of each stream: twists.
     frames: Vec<[[f64; 6]; 2]>,
-    dof: f64,
 }
 
 /// Equations of several changes and the constant causes of all streams. The constant causes of each stream
@@ -440,10 +439,7 @@ impl Equations {
     }
 
     fn fit(&self, streams: &[Stream], changes: &[Change]) -> Fit {
-        let normal = self.normal();
-        let width = self.prior.nrows();
-        let all: Vec<usize> = (0..width).collect();
-        let step = normal.step(&DVector::zeros(width), &all);
+        let step = self.normal().full_step();
         let of_change = |(own, change): (&Range<usize>, &Change)| {
             let (half, profile) = step.as_slice()[own.clone()].split_at(change.columns.len());
             (DVector::from_column_slice(half), profile.to_vec())
@@ -458,8 +454,12 @@ impl Equations {
         Fit {
             frames: frames.collect(),
             changes: self.changes.iter().zip(changes).map(of_change).collect(),
-            dof: (normal.independent - width as f64).max(3.0),
         }
+    }
+
+    /// Degrees of freedom of the residuals.
+    fn dof(&self) -> f64 {
+        (self.normal().independent - self.prior.nrows() as f64).max(3.0)
     }
 
     /// The change whose removal adds the least cost.
@@ -480,12 +480,11 @@ impl Equations {
     /// Twice the log likelihood, minus the price of the changes.
     fn score(&self, changes: &[Change]) -> f64 {
         let normal = self.normal();
-        let all: Vec<usize> = (0..self.prior.nrows()).collect();
-        let step = normal.step(&DVector::zeros(all.len()), &all);
         let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
         let of_profiles = changes.iter().map(|change| change.profile.parameters()).sum::<usize>();
         let price = price(normal.independent) * (parameters + of_profiles) as f64;
-        -normal.cost_after(&step) - price - changes.iter().map(Change::prior_cost).sum::<f64>()
+        let of_prior = changes.iter().map(Change::prior_cost).sum::<f64>();
+        -normal.cost_after(&normal.full_step()) - price - of_prior
     }
 }
 
@@ -801,8 +800,7 @@ impl Removal {
             false => return None,
         };
         let equations = Equations::new(&streams, &changes, None);
-        let Fit { dof, .. } = equations.fit(&streams, &changes);
-        let covariances = equations.covariances();
+        let (dof, covariances) = (equations.dof(), equations.covariances());
         for (change, covariance) in changes.iter().zip(&covariances) {
             let amounts = change.columns.len();
             let covariance = &covariance.view((0, 0), (amounts, amounts)).into_owned();

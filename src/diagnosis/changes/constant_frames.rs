@@ -4,10 +4,9 @@ use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::residuals::cause_columns::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
-use crate::solver::linear::{Linear, Normal};
+use crate::solver::linear::Linear;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3};
-use nalgebra::DVector;
 
 /// 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
@@ -38,8 +37,7 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
 
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
 fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<[f64; 3]>> {
-    let all: Vec<usize> = (0..12).collect();
-    let mut linear = Linear::new(all.len(), &[FLOOR_M, FLOOR_RAD]);
+    let mut linear = Linear::new(12, &[FLOOR_M, FLOOR_RAD]);
     let identity = Pose::identity();
     let mask = |vector: Vec3| if has_rotation { vector } else { Vec3::zeros() };
     for (row, fk) in aligned.fk_at_truth.iter().take(aligned.corrected.len()).enumerate() {
@@ -49,15 +47,12 @@ fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec
         let derivatives = (0..6).map(|axis| jacobian.reference(axis));
         let derivatives = derivatives.chain((0..6).map(|axis| jacobian.tool(axis)));
         for (column, [shift, turn]) in derivatives.enumerate() {
-            rows.set(0, column, shift.into());
-            rows.set(1, column, mask(turn).into());
+            rows.set_all(column, [shift.into(), mask(turn).into()]);
         }
     }
     let mut weights = linear.even_weights();
     weights[1].noise.sigma = 1.0 / LEVER_M;
-    let mut normal = Normal::zeros(all.len());
-    linear.accumulate(&weights, &all, &mut normal);
-    let step = normal.step(&DVector::zeros(all.len()), &all);
+    let step = linear.normal(&weights).full_step();
     linear.residuals_after(step.as_slice())
 }
 
