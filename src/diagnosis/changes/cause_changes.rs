@@ -34,7 +34,7 @@ use crate::{
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
 use ground::stream::{PoseTrack, encoder_tick};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector6};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -92,11 +92,11 @@ impl Change {
     }
 
     /// `part` times its half, as a twist of its frame. Zero unless a frame changes.
-    fn twist(&self, part: f64) -> [f64; 6] {
-        let mut twist = [0.0; 6];
+    fn twist(&self, part: f64) -> Vector6<f64> {
+        let mut twist = Vector6::zeros();
         if let Subject::Frame { frame, .. } = self.subject {
             let first = self.columns.start - frame.columns().start;
-            twist[first..first + self.half.len()].copy_from_slice((&self.half * part).as_slice());
+            twist.rows_mut(first, self.half.len()).copy_from(&(&self.half * part));
         }
         twist
     }
@@ -221,7 +221,7 @@ impl<'a> Stream<'a> {
         &self,
         changes: &[(&Change, ColumnChange)],
         target: f64,
-        constant: &[[f64; 6]; 2],
+        constant: &[Vector6<f64>; 2],
         is: &Pose,
         t_s: f64,
     ) -> Pose {
@@ -229,18 +229,13 @@ impl<'a> Stream<'a> {
         let mut scale = 0.0;
         for (change, seen) in changes {
             let part = seen.profile.factor(t_s) + target;
-            let twist = match change.subject {
-                Subject::Frame { frame: Frame::Reference, .. } => &mut twists[0],
-                Subject::Frame { frame: Frame::Tool, .. } => &mut twists[1],
-                Subject::RadialScale { .. } => {
-                    scale += part * change.half[0];
-                    continue;
-                }
-                Subject::Zero { .. } => continue,
-            };
-            twist.iter_mut().zip(change.twist(part)).for_each(|(sum, own)| *sum += own);
+            match change.subject {
+                Subject::Frame { frame, .. } => twists[frame as usize] += change.twist(part),
+                Subject::RadialScale { .. } => scale += part * change.half[0],
+                Subject::Zero { .. } => {}
+            }
         }
-        let [reference, tool] = twists.map(|twist| pose_of_twist(&twist).inverse());
+        let [reference, tool] = twists.map(|twist| pose_of_twist(twist.as_slice()).inverse());
         let about = Pose::from_parts(self.columns.centre.into(), Rotation::identity());
         let mut pose = about * reference * about.inverse() * is * tool;
         pose.translation.vector /= 1.0 + scale;
@@ -256,14 +251,14 @@ impl<'a> Stream<'a> {
         let seen = self.seen_changes(changes);
         let AlignedSamples { corrected, t_s, .. } = &self.found.aligned;
         let steady = |(is, &t_s): (&Pose, &f64)| {
-            let pose = self.steady_pose(&seen, TO_START, &[[0.0; 6]; 2], is, t_s);
+            let pose = self.steady_pose(&seen, TO_START, &[Vector6::zeros(); 2], is, t_s);
             self.found.frame_correction.invert(&pose)
         };
         with_poses(self.found, corrected.iter().zip(t_s).map(steady))
     }
 
     /// The stream without these changes and constant changes of its frames, in the samples that are fitted.
-    fn without(&self, changes: &[Change], constant: &[[f64; 6]; 2]) -> Self {
+    fn without(&self, changes: &[Change], constant: &[Vector6<f64>; 2]) -> Self {
         let seen = self.seen_changes(changes);
         let chain = self.columns.chain;
         let dof = chain.dof();
@@ -309,7 +304,7 @@ impl<'a> Stream<'a> {
         let mut to_origin = DMatrix::identity(6, 6);
         to_origin.view_mut((0, 3), (3, 3)).copy_from(&about.cross_matrix());
         let of_twist = &to_origin * of_twist * to_origin.transpose();
-        let total = to_origin * DVector::from_row_slice(&change.twist(2.0));
+        let total = to_origin * change.twist(2.0);
         let length = |first: usize| {
             let own = of_twist.view((first, first), (3, 3)).into_owned();
             MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
@@ -324,16 +319,12 @@ impl<'a> Stream<'a> {
         let base = base.map_or_else(Pose::identity, |frame| frame.pose);
         let others =
             all.iter().filter(|it| it.subject == change.subject && it.profile != change.profile);
-        let mut of_others = [0.0; 6];
-        for other in others {
-            let part = other.profile.factor(at_s) + TO_START;
-            of_others.iter_mut().zip(other.twist(part)).for_each(|(sum, own)| *sum += own);
-        }
+        let of_others: Vector6<f64> =
+            others.map(|other| other.twist(other.profile.factor(at_s) + TO_START)).sum();
         let about = Pose::from_parts(about.into(), Rotation::identity());
         let frame = |part: f64| {
-            let own = change.twist(part);
-            let twist: [f64; 6] = std::array::from_fn(|i| of_others[i] + own[i]);
-            let changed = about * pose_of_twist(&twist) * about.inverse();
+            let twist = of_others + change.twist(part);
+            let changed = about * pose_of_twist(twist.as_slice()) * about.inverse();
             match frame {
                 // From the stream to the reference.
                 Frame::Reference => changed.inverse(),
@@ -359,7 +350,7 @@ struct Fit {
     /// Increments of half of each change, in its columns, and of its profile.
     changes: Vec<(DVector<f64>, Vec<f64>)>,
     /// Increments of the constant reference and tool of each stream: twists.
-    frames: Vec<[[f64; 6]; 2]>,
+    frames: Vec<[Vector6<f64>; 2]>,
 }
 
 /// Equations of several changes and the constant causes of all streams. The constant causes of each stream
@@ -444,7 +435,7 @@ impl Equations {
             let (half, profile) = step.as_slice()[own.clone()].split_at(change.columns.len());
             (DVector::from_column_slice(half), profile.to_vec())
         };
-        let twist = |first: usize| std::array::from_fn(|i| step[first + i]);
+        let twist = |first: usize| step.fixed_rows::<6>(first).into_owned();
         let mut start = 0;
         let frames = streams.iter().map(|stream| {
             let first = start;
@@ -539,7 +530,7 @@ impl RecordedJumps {
 struct Candidate {
     changes: Vec<Change>,
     /// Constant changes of the reference and tool of each stream: twists.
-    frames: Vec<[[f64; 6]; 2]>,
+    frames: Vec<[Vector6<f64>; 2]>,
 }
 
 impl Candidate {
@@ -569,8 +560,8 @@ impl Candidate {
                 it.half += half;
                 it.profile = it.profile.stepped(profile);
             }
-            let all = self.frames.iter_mut().flatten().flatten();
-            all.zip(fit.frames.iter().flatten().flatten()).for_each(|(it, more)| *it += more);
+            let all = self.frames.iter_mut().flatten();
+            all.zip(fit.frames.iter().flatten()).for_each(|(it, more)| *it += more);
             let of_profiles = fit.changes.iter().flat_map(|(_, profile)| profile);
             if step >= MIN_STEPS && of_profiles.into_iter().all(|by| by.abs() < MIN_PROFILE_STEP) {
                 break;
@@ -632,7 +623,7 @@ impl Fitted {
 /// tenths of the run, because the residual still contains the other changes.
 fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &mut Vec<Fitted>) {
     const MAX_CHANGES: usize = 4;
-    let frames = vec![[[0.0; 6]; 2]; streams.len()];
+    let frames = vec![[Vector6::zeros(); 2]; streams.len()];
     let mut current = Candidate { changes: Vec::new(), frames };
     loop {
         let steady = current.steady(streams);
