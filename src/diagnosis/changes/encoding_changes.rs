@@ -61,7 +61,7 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
     // `None` if the motion determines it for no stream.
     let all_follow = |span: &Span| {
         let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
-        let streams = run.with_tracks(&tracks);
+        let streams = with_tracks(run.arm.streams, &tracks);
         let known = streams.iter().filter_map(|stream| follows_as_logged(&joints, stream));
         known.reduce(|all, one| all && one)
     };

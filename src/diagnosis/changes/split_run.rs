@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use super::jumps::Jump;
+use crate::ArmDiagnosis;
 use crate::arm_run::ArmRun;
-use crate::latency::compensation::with_stamps;
+use crate::latency::compensation::{with_stamps, with_tracks};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::samples::sampling::rows_within;
-use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
 /// Change points are on the joint states' clock.
@@ -83,27 +83,21 @@ impl SplitRun<'_> {
         segment
     }
 
-    pub fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
+    /// Of each stream.
+    pub fn tracks_in(&self, span: Span) -> Vec<Option<PoseTrack>> {
         let track = |s: usize| {
             let stream = &self.arm.streams[s];
             let rows: Vec<(usize, f64)> =
                 self.rows(s, span).map(|row| (row, stream.track.t_s[row])).collect();
-            with_stamps(stream, &rows)
+            Some(with_stamps(stream, &rows))
         };
         (0..self.arm.streams.len()).map(track).collect()
-    }
-
-    /// Replaces the tracks.
-    pub fn with_tracks<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
-        let with =
-            |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
-        self.arm.streams.iter().zip(tracks).map(with).collect()
     }
 
     /// Diagnoses a segment alone.
     pub fn diagnose(&self, span: Span) -> ArmDiagnosis {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
-        let streams = self.with_tracks(&tracks);
+        let streams = with_tracks(self.arm.streams, &tracks);
         ArmRun { joints: &joints, streams: &streams, ..self.arm }.diagnose()
     }
 }
