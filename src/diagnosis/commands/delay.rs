@@ -6,6 +6,7 @@ use crate::samples::sampling::range_of;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};
 use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::stats::cumulative;
 use ground::stream::{JointTrack, sample_noise};
 
 /// Response of a joint or the tip to commands.
@@ -77,15 +78,11 @@ pub fn estimate_pose_delay(
 ) -> CommandDelay {
     let period_s = median_period_s(&commanded.t_s);
     let [commanded_columns, measured_columns] = [commanded, measured].map(columns);
-    let path = |columns: &[Vec<f64>]| -> Vec<f64> {
-        let mut sum = 0.0;
+    let path = |columns: &[Vec<f64>]| {
         let rows = columns.first().map_or(0, Vec::len);
-        let step = |row: usize| columns.iter().map(|c| (c[row] - c[row - 1]).powi(2)).sum::<f64>();
-        let lengths = (1..rows).map(|row| {
-            sum += step(row).sqrt();
-            sum
-        });
-        std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
+        let square =
+            |row: usize| columns.iter().map(|c| (c[row] - c[row - 1]).powi(2)).sum::<f64>();
+        cumulative((1..rows).map(|row| square(row).sqrt()))
     };
     let paths = [&commanded_columns, &measured_columns].map(|columns| path(columns));
     let commanded = TimeSeries::new(commanded.t_s.clone(), commanded_columns);

@@ -3,6 +3,7 @@
 use crate::PoseSeries;
 use crate::latency::correlation::median_period_s;
 use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::cumulative;
 use ground::stream::{JointTrack, sample_noise};
 
 /// In shorter rests the motion has not settled.
@@ -53,10 +54,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     let mut still = vec![true; rows];
     for joint in 0..dof {
         let q: Vec<f64> = joints.q.iter().skip(joint).step_by(dof).copied().collect();
-        let mut before = vec![0.0];
-        for q in &q {
-            before.push(before[before.len() - 1] + q);
-        }
+        let before = cumulative(q.iter().copied());
         let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
         let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();
         for (row, still) in still.iter_mut().enumerate() {

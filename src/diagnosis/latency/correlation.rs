@@ -10,7 +10,7 @@ use crate::model::jacobian::PoseJacobian;
 use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
-use ground::stats::median;
+use ground::stats::{cumulative, median};
 use ground::stream::{JointTrack, PoseTrack};
 use realfft::RealFftPlanner;
 
@@ -294,19 +294,9 @@ impl SpeedGrid {
 
     /// Cumulative sums of the mask, the values and their squares, from 0.
     fn cumulative_powers(&self) -> [Vec<f64>; 3] {
-        let cumulative = |power: &dyn Fn(usize) -> f64| {
-            let mut sum = 0.0;
-            let sums = (0..self.value.len()).map(|at| {
-                sum += power(at);
-                sum
-            });
-            std::iter::once(0.0).chain(sums).collect()
-        };
-        [
-            cumulative(&|at| self.known[at]),
-            cumulative(&|at| self.value[at]),
-            cumulative(&|at| self.value[at] * self.value[at]),
-        ]
+        let squares = self.value.iter().map(|value| value * value);
+        let [known, values] = [&self.known, &self.value].map(|all| cumulative(all.iter().copied()));
+        [known, values, cumulative(squares)]
     }
 
     /// Ranges of valid values.

@@ -27,6 +27,16 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
+/// Sums of the values before each one, and of all: one entry more than values.
+pub fn cumulative(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
+    let mut sum = 0.0;
+    let sums = values.into_iter().map(|value| {
+        sum += value;
+        sum
+    });
+    std::iter::once(0.0).chain(sums).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
