@@ -86,7 +86,7 @@ pub(crate) fn decode_stream<'a>(
         in_other_angle_unit(track, &rows, &turning, reference_known, first.corrections()).unzip();
     let (orientation, degrees) =
         (other.0.map_or(Cow::Borrowed(&track.orientation), Cow::Owned), other.1);
-    let there = at_rows(&orientation, &rows);
+    let there = orientation.at_rows(&rows);
     let turning = RotationSamples {
         logged: LoggedRotations::from_orientations(&there),
         fk: &turning,
@@ -266,12 +266,12 @@ fn in_other_angle_unit(
         _ => return None,
     };
     // A constant rotation is constant in any unit.
-    let turns = |orientation: &Orientations| turn_rad(&at_rows(orientation, rows)) > MIN_TURN_RAD;
+    let turns = |orientation: &Orientations| turn_rad(&orientation.at_rows(rows)) > MIN_TURN_RAD;
     if !turns(&track.orientation) && !turns(&other) {
         return None;
     }
     let residual = |orientation: &Orientations| {
-        let there = at_rows(orientation, rows);
+        let there = orientation.at_rows(rows);
         let logged = LoggedRotations::from_orientations(&there);
         let are_quaternions = are_quaternions(track);
         let samples = RotationSamples {
@@ -297,16 +297,6 @@ fn in_other_angle_unit(
 /// Whether the log has quaternions rather than three declared numbers.
 fn are_quaternions(track: &PoseTrack) -> bool {
     track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
-}
-
-fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
-    match orientation {
-        Orientations::Rotations(all) => {
-            Orientations::Rotations(rows.iter().map(|&k| all[k]).collect())
-        }
-        Orientations::Numbers(all) => Orientations::Numbers(rows.iter().map(|&k| all[k]).collect()),
-        Orientations::Unset(_) => Orientations::Unset(rows.len()),
-    }
 }
 
 /// Chooses for each sample the branch nearest to FK. Drops samples without joint states. Without an

@@ -217,14 +217,15 @@ pub fn diagnose_imu_with_latency_compensation(
     let conventions = ImuConventions::detect(joints, &stream, max_lag_s);
     let corrected = conventions.convert(stream.track);
     let stream = ImuStream { track: &corrected, ..stream };
-    let of_rows = |rows: &[(usize, f64)]| ImuTrack {
-        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
-        orientation: rows
-            .iter()
-            .filter_map(|&(row, _)| stream.track.orientation.get(row).copied())
-            .collect(),
-        gyro: at_rows(&stream.track.gyro, rows),
-        accel: at_rows(&stream.track.accel, rows),
+    let of_rows = |rows: &[(usize, f64)]| {
+        let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
+        let ImuTrack { orientation, gyro, accel, .. } = stream.track;
+        ImuTrack {
+            t_s,
+            orientation: rows.iter().filter_map(|&row| orientation.get(row).copied()).collect(),
+            gyro: at_rows(gyro, &rows),
+            accel: at_rows(accel, &rows),
+        }
     };
     let diagnosed = |track: &ImuTrack, removed_ramp: Option<&LatencyRamp>| {
         let stream = ImuStream { track, removed_ramp, ..stream };
@@ -301,24 +302,16 @@ pub(crate) fn with_stamps(stream: &PoseStream, rows: &[(usize, f64)]) -> PoseTra
     track
 }
 
-fn at_rows<T: Copy>(values: &[T], rows: &[(usize, f64)]) -> Vec<T> {
-    rows.iter().map(|&(row, _)| values[row]).collect()
+fn at_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+    rows.iter().map(|&row| values[row]).collect()
 }
 
 fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
+    let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
-        in_other_angles: declared.in_other_angles.as_ref().map(|all| at_rows(all, rows)),
+        in_other_angles: declared.in_other_angles.as_ref().map(|all| at_rows(all, &rows)),
         ..*declared
     });
-    let orientation = match &track.orientation {
-        Orientations::Rotations(all) => Orientations::Rotations(at_rows(all, rows)),
-        Orientations::Numbers(all) => Orientations::Numbers(at_rows(all, rows)),
-        Orientations::Unset(_) => Orientations::Unset(rows.len()),
-    };
-    PoseTrack {
-        t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
-        xyz: at_rows(&track.xyz, rows),
-        orientation,
-        declared,
-    }
+    let (xyz, orientation) = (at_rows(&track.xyz, &rows), track.orientation.at_rows(&rows));
+    PoseTrack { t_s, xyz, orientation, declared }
 }

@@ -164,6 +164,16 @@ impl Orientations {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    /// The samples at these rows.
+    pub fn at_rows(&self, rows: &[usize]) -> Self {
+        let rows = rows.iter().copied();
+        match self {
+            Self::Rotations(all) => Self::Rotations(rows.map(|row| all[row]).collect()),
+            Self::Numbers(all) => Self::Numbers(rows.map(|row| all[row]).collect()),
+            Self::Unset(_) => Self::Unset(rows.len()),
+        }
+    }
 }
 
 /// Poses over time. Times as in [`JointTrack`].
