@@ -8,16 +8,14 @@ use crate::samples::sampling::range_of;
 use crate::test_random::Lcg;
 use crate::{diagnose_arm, test_motion};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
-use ground::robot::{Chain, catalogue};
-use ground::stream::{JointTrack, Orientations, PoseTrack};
+use ground::robot::Chain;
+use ground::stream::{JointTrack, PoseTrack};
 use std::f64::consts::{PI, TAU};
 
 const MOST: ResidualSize = ResidualSize { m: 5e-3, rad: Some(0.03) };
 
 fn ur5e() -> Chain {
-    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
-    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
-    robot.chain(base, tip).expect("a chain")
+    test_motion::arm().1
 }
 
 /// Poses over the arm's range, with joint values transformed by `logged`.
@@ -56,9 +54,8 @@ fn assert_near(find_map: &[f64], expected: &[f64], most: f64) {
 /// Poses of the tip for all rows of `joints`.
 fn tip_track(joints: &JointTrack, chain: &Chain) -> PoseTrack {
     let poses = joints.q.chunks(chain.dof()).map(|q| chain.forward(q));
-    let (xyz, rotations) = poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
-    let orientation = Orientations::Rotations(rotations);
-    PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None }
+    let poses = poses.map(|pose| (pose.translation.vector, pose.rotation));
+    test_motion::pose_track(&joints.t_s, poses)
 }
 
 fn tcp() -> Pose {
@@ -277,9 +274,7 @@ fn a_reversed_wrist_is_found_while_the_tool_keeps_its_orientation() {
         let noise = rotation_from_rotvec(random.triple(2e-5).into());
         (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation * noise)
     });
-    let (xyz, rotations) = poses.unzip();
-    let orientation = Orientations::Rotations(rotations);
-    let track = PoseTrack { t_s: joints.t_s.clone(), xyz, orientation, declared: None };
+    let track = test_motion::pose_track(&joints.t_s, poses);
     joints.q.iter_mut().skip(REVERSED).step_by(6).for_each(|q| *q = -*q);
     let period_s = 0.008;
     for at in 6..joints.q.len() {
