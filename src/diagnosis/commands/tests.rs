@@ -4,7 +4,6 @@ use crate::test_motion::noise;
 use ground::geometry::{
     Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy, rotvec_from_rotation,
 };
-use ground::robot::catalogue;
 
 /// Smooth step over one second.
 fn blend(t_s: f64, from_s: f64) -> f64 {
@@ -23,9 +22,7 @@ fn joints_at(t_s: f64) -> [f64; 6] {
 }
 
 fn arm() -> (JointTrack, Chain, Vec<usize>) {
-    let robot = catalogue::find("ur5e").expect("the catalogue has it");
-    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
-    let chain = robot.chain(base, tip).expect("a chain");
+    let (_, chain) = crate::test_motion::arm();
     let t_s = times(125.0);
     let q: Vec<f64> = t_s.iter().flat_map(|&t_s| joints_at(t_s)).collect();
     let slope = |t_s: f64| {
