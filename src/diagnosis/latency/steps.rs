@@ -85,33 +85,11 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
     let rows = fit_rows(stream);
     let costs: Vec<Vec<f64>> =
         lags.iter().map(|&lag_s| differences(arm, stream, &rows, |_| lag_s)).collect();
-    let at = |row: usize, lag: usize| costs[lag][row];
-    let min_difference =
-        |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
-    let (first, last) = (*rows.first()?, *rows.last()?);
-    let span_s = stream.t_s[last] - stream.t_s[first];
+    let [begin_s, end_s] = [*rows.first()?, *rows.last()?].map(|row| stream.t_s[row]);
+    let min_difference = |at: usize| costs.iter().map(|own| own[at]).fold(f64::INFINITY, f64::min);
     let best: f64 = (0..rows.len()).map(min_difference).sum();
-    let price = (STEP_PRICE_S * best / span_s.max(f64::MIN_POSITIVE)).max(f64::MIN_POSITIVE);
-    let mut sums: Vec<f64> = (0..lags.len()).map(|lag| at(0, lag)).collect();
-    let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows.len());
-    for row in 1..rows.len() {
-        let cheapest = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
-        let from: Vec<usize> = (0..lags.len())
-            .map(|lag| if sums[cheapest] + price < sums[lag] { cheapest } else { lag })
-            .collect();
-        let next = (0..lags.len()).map(|lag| {
-            let step = if from[lag] == lag { 0.0 } else { price };
-            sums[from[lag]] + step + at(row, lag)
-        });
-        sums = next.collect();
-        came_by.push(from);
-    }
-    let mut lag = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
-    let mut path = vec![lag; rows.len()];
-    for row in (1..rows.len()).rev() {
-        lag = came_by[row - 1][lag];
-        path[row - 1] = lag;
-    }
+    let span_s = (end_s - begin_s).max(f64::MIN_POSITIVE);
+    let path = cheapest_path(&costs, (STEP_PRICE_S * best / span_s).max(f64::MIN_POSITIVE))?;
     let mut levels: Vec<(f64, usize, f64)> = vec![(f64::NEG_INFINITY, path[0], 0.0)];
     for row in 1..rows.len() {
         if path[row] != path[row - 1] {
@@ -122,13 +100,10 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
         }
     }
     // Short levels are glitches in one of the speeds.
-    let ends: Vec<f64> =
-        levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
-    let begin_s = stream.t_s[first];
-    let lasts =
-        |(level, end_s): (&(f64, usize, f64), &f64)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S;
-    let mut changes: Vec<(f64, usize, f64)> =
-        levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
+    let ends_s = levels.iter().skip(1).map(|level| level.0).chain([end_s]);
+    let long = levels.iter().zip(ends_s);
+    let long = long.filter(|(level, end_s)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S);
+    let mut changes: Vec<(f64, usize, f64)> = long.map(|(level, _)| *level).collect();
     changes.dedup_by_key(|level| level.1);
     changes.first_mut()?.0 = f64::NEG_INFINITY;
     let level =
@@ -136,20 +111,41 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
     let steps = LatencySteps { levels: changes.iter().map(level).collect() };
     let clear: Vec<usize> =
         (0..rows.len()).filter(|&row| steps.is_far_from_steps(stream.t_s[rows[row]])).collect();
-    let with: f64 = clear
-        .iter()
-        .map(|&row| {
-            let level = changes.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
-            at(row, changes[level].1)
-        })
-        .sum();
-    let alone = (0..lags.len()).map(|lag| clear.iter().map(|&row| at(row, lag)).sum::<f64>());
-    let alone = alone.fold(f64::INFINITY, f64::min);
+    let cost = |lag_at: &dyn Fn(f64) -> usize| -> f64 {
+        clear.iter().map(|&row| costs[lag_at(stream.t_s[rows[row]])][row]).sum()
+    };
+    let with = cost(&|t_s| changes[changes.partition_point(|level| level.0 <= t_s) - 1].1);
+    let alone = (0..lags.len()).map(|lag| cost(&|_| lag)).fold(f64::INFINITY, f64::min);
     let clear_rows: Vec<usize> = clear.iter().map(|&row| rows[row]).collect();
     let explains = with
         < (MAX_RESIDUAL_RATIO * alone)
             .min(MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, &clear_rows));
     (steps.levels.len() > 1 && explains).then_some(steps)
+}
+
+/// The lag of each row with the smallest sum of costs, of which there is a list per lag, and of a price per change of the
+/// lag.
+fn cheapest_path(costs: &[Vec<f64>], price: f64) -> Option<Vec<usize>> {
+    let cheapest = |sums: &[f64]| (0..sums.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]));
+    let rows = costs.first()?.len();
+    let mut sums: Vec<f64> = costs.iter().map(|own| own[0]).collect();
+    let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows);
+    for row in 1..rows {
+        let best = cheapest(&sums)?;
+        let from = |lag: usize| if sums[best] + price < sums[lag] { best } else { lag };
+        let from: Vec<usize> = (0..costs.len()).map(from).collect();
+        let next = from.iter().enumerate().map(|(lag, &from)| {
+            let step = if from == lag { 0.0 } else { price };
+            sums[from] + step + costs[lag][row]
+        });
+        sums = next.collect();
+        came_by.push(from);
+    }
+    let mut path = vec![cheapest(&sums)?; rows];
+    for row in (1..rows).rev() {
+        path[row - 1] = came_by[row - 1][path[row]];
+    }
+    Some(path)
 }
 
 impl LatencySteps {
