@@ -248,9 +248,13 @@ fn unrefined(map: JointMap, price: f64) -> JointProposal {
 }
 
 fn moves_enough(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
-    let [low, high] = view.spans[map.from[joint]];
     let least = if view.chain.slides(joint) { MIN_MOTION_M } else { MIN_MOTION_RAD };
-    factor.abs() * (high - low) > least
+    factor.abs() * logged_range(view, map, joint) > least
+}
+
+fn logged_range(view: &InterpretedPoses, map: &JointMap, joint: usize) -> f64 {
+    let [low, high] = view.spans[map.from[joint]];
+    high - low
 }
 
 fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
@@ -350,13 +354,7 @@ fn common_gear(
     const MIN_DIFFERENCE: f64 = 0.05;
     let mut turning = moving_joints(view, base);
     turning.retain(|joint| !view.chain.slides(*joint));
-    let widest = turning
-        .iter()
-        .map(|&joint| {
-            let [low, high] = view.spans[base.from[joint]];
-            high - low
-        })
-        .fold(0.0, f64::max);
+    let widest = turning.iter().map(|&joint| logged_range(view, base, joint)).fold(0.0, f64::max);
     if widest <= 0.0 {
         return None;
     }
@@ -377,7 +375,7 @@ fn common_gear(
 }
 
 fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
-    let thin = view.thinned(20);
+    let thin = view.thinned(ROUGH_SAMPLES);
     let none = JointMap::as_logged(view.chain.dof());
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
     let units = unit_maps(view.chain).into_iter().map(|unit| (unit, 1.0));
@@ -438,9 +436,7 @@ fn single_joint(
     let own = base.factor[joint];
     let moves = |factor: f64| moves_enough(view, base, joint, factor);
     let zero_of = |factor: f64| {
-        let settled =
-            alternate_fit(view, base, freedom, joint, |lone| (factor, lone.best_zero(factor).0));
-        settled.1
+        alternate_fit(view, base, freedom, joint, |lone| (factor, lone.best_zero(factor).0)).1
     };
     let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| JointProposal {
         zeros: zero.map(|_| joint).into_iter().collect(),
@@ -448,27 +444,20 @@ fn single_joint(
         ..unrefined(base.with(joint, factor, zero.unwrap_or(0.0)), price + more)
     };
     let mut proposals = vec![proposal(own, Some(zero_of(own)), false, 1.0)];
-    if moves(own) {
-        proposals.push(proposal(-own, None, false, 1.0));
-        proposals.push(proposal(-own, Some(zero_of(-own)), false, 2.0));
-    }
+    let reversed = moves(own).then_some(-own);
     let units: &[f64] = if slides { &[1e-3, 1e-2] } else { &[std::f64::consts::PI / 180.0] };
-    for &unit in units.iter().filter(|&&unit| own == 1.0 && moves(unit)) {
-        proposals.push(proposal(unit, None, false, 1.0));
-        proposals.push(proposal(unit, Some(zero_of(unit)), false, 2.0));
+    let units = units.iter().copied().filter(|&unit| own == 1.0 && moves(unit));
+    for factor in reversed.into_iter().chain(units) {
+        proposals.push(proposal(factor, None, false, 1.0));
+        proposals.push(proposal(factor, Some(zero_of(factor)), false, 2.0));
     }
     for with_zero in [true, false] {
         let at = usize::from(!with_zero);
         let pick = |lone: &SingleJoint| lone.factors().get(at).copied().unwrap_or((own, 0.0));
         let (factor, zero) = alternate_fit(view, base, freedom, joint, pick);
         if moves(factor) {
-            let zero = with_zero.then_some(zero);
-            proposals.push(proposal(
-                factor,
-                zero,
-                true,
-                1.0 + ODD_SCALE_PRICE + f64::from(u8::from(with_zero)),
-            ));
+            let more = ODD_SCALE_PRICE + if with_zero { 2.0 } else { 1.0 };
+            proposals.push(proposal(factor, with_zero.then_some(zero), true, more));
         }
     }
     proposals
