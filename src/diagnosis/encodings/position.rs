@@ -70,7 +70,7 @@ impl PositionEncodingEstimate {
             }
             let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
             let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-            let sized = metres_from_size(&at, &xyz, reach_m, read_as_m, reference_known);
+            let sized = metres_from_size(&at, &xyz, stream);
             // Positions match FK in that unit.
             let by_size = sized.as_ref().ok().copied().filter(|&metres| {
                 metres != 1.0 && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
@@ -169,19 +169,14 @@ fn principal_spreads(points: &[Vec3]) -> [f64; 3] {
 }
 
 /// Factor to metres from the extent relative to FK's or, at rest, the distance from a known base.
-pub(crate) fn metres_from_size(
-    fk: &[Vec3],
-    xyz: &[Vec3],
-    reach_m: f64,
-    read_as_m: f64,
-    reference_known: bool,
-) -> EstimateResult<f64> {
+fn metres_from_size(fk: &[Vec3], xyz: &[Vec3], stream: &PoseStream) -> EstimateResult<f64> {
     const MAX_SIZE_RATIO: f64 = 1.5;
+    let reach_m = stream.chain.max_reach_m();
     let (moved, extent) = (spread(fk), spread(xyz));
     let rests = moved <= 0.01 * reach_m;
     let ratio = if !rests {
         extent / moved
-    } else if reference_known {
+    } else if stream.reference_known {
         let norm =
             |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
         norm(xyz) / norm(fk).max(0.05 * reach_m)
@@ -189,8 +184,8 @@ pub(crate) fn metres_from_size(
         return Err(NotObservable::AtRest);
     };
     let deviation = |factor: f64| (ratio * factor).ln().abs();
-    let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
-    let near = usual.filter(|factor| deviation(*factor) < MAX_SIZE_RATIO.ln());
+    let near =
+        usual_factors(stream.track).filter(|factor| deviation(*factor) < MAX_SIZE_RATIO.ln());
     let nearest = near.min_by(|a, b| deviation(*a).total_cmp(&deviation(*b)));
     // Ratios within an arm's reach determine no unit.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
@@ -198,28 +193,25 @@ pub(crate) fn metres_from_size(
 
 /// Factor to metres by size alone; 1 if undetermined.
 pub(crate) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
-    let PoseStream { track, chain, reference_known, .. } = *stream;
     let (rows, fk) = slow_samples(joints, stream, 0.0);
-    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| stream.track.xyz[row]).collect();
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     if at.len() < 2 {
         return 1.0;
     }
-    let read_as_m = metres_per_unit(track);
-    metres_from_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
+    metres_from_size(&at, &xyz, stream).unwrap_or(1.0)
 }
 
 /// Factor to metres of the usual unit whose extent is closest to the arm's reach, without joint states.
 pub(crate) fn metres_by_reach(stream: &PoseStream) -> f64 {
     /// Typical, for an arm's tip.
     const SPREAD_PER_REACH: f64 = 0.3;
-    let track = stream.track;
-    let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
+    let extent = spread(&stream.track.xyz).max(f64::MIN_POSITIVE);
     let deviation = |factor: f64| {
         (extent * factor / (SPREAD_PER_REACH * stream.chain.max_reach_m())).ln().abs()
     };
-    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
-    usual.chain([1.0]).min_by(|a, b| deviation(*a).total_cmp(&deviation(*b))).unwrap_or(1.0)
+    let factors = usual_factors(stream.track).chain([1.0]);
+    factors.min_by(|a, b| deviation(*a).total_cmp(&deviation(*b))).unwrap_or(1.0)
 }
 
 /// Factor to metres of the usual unit in which constant world and marker frames explain the poses at
@@ -245,13 +237,18 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     if is_plausible_extent(extent, spread(&at)) {
         return None;
     }
-    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
-    let shares = usual.map(|metres| (residual_share(metres), metres));
+    let shares = usual_factors(track).map(|metres| (residual_share(metres), metres));
     let (min_share, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (metres != 1.0
         && min_share <= MAX_RESIDUAL_SHARE
         && MIN_RESIDUAL_RATIO * min_share <= in_metres)
         .then_some(metres)
+}
+
+/// Factors to metres of the usual units.
+fn usual_factors(track: &PoseTrack) -> impl Iterator<Item = f64> {
+    let read_as_m = metres_per_unit(track);
+    LengthScale::common().map(move |unit| unit.in_m() / read_as_m)
 }
 
 fn metres_per_unit(track: &PoseTrack) -> f64 {
