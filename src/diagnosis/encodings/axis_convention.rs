@@ -7,7 +7,7 @@
 
 use crate::frames::position_fit::{rigid_rotation, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DVector, Matrix3, SVector};
 
 /// As a fraction of the arm's reach.
 const MIN_MOTION_SHARE: f64 = 0.01;
@@ -434,17 +434,11 @@ impl EncodingSums {
         for pose in fk {
             let rotation = pose.rotation.to_rotation_matrix();
             for row in (0..3).filter(|row| Some(*row) != skipped) {
-                let mut design = [0.0; 7];
+                let mut design = SVector::<f64, 7>::zeros();
                 design[0] = pose.translation.vector[row];
-                for axis in 0..3 {
-                    design[1 + axis] = rotation[(row, axis)];
-                }
+                design.fixed_rows_mut::<3>(1).tr_copy_from(&rotation.matrix().row(row));
                 design[4 + row] = 1.0;
-                for a in 0..7 {
-                    for b in 0..7 {
-                        normal[(a, b)] += design[a] * design[b];
-                    }
-                }
+                normal.ger(1.0, &design, &design, 1.0);
             }
         }
         Self { normal, skipped }
