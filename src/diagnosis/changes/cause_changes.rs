@@ -38,7 +38,6 @@ use nalgebra::{DMatrix, DVector, Vector6};
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// What changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Subject {
     Frame { stream: usize, frame: Frame },
@@ -359,14 +358,12 @@ struct Equations {
     streams: Vec<StreamEquations>,
     /// Parameters of each change: of its amount, then of its profile.
     changes: Vec<Range<usize>>,
-    /// Precision of the prior.
     prior: DMatrix<f64>,
 }
 
 struct StreamEquations {
     linear: Linear,
     weights: Vec<Weight>,
-    /// Parameter of each column.
     parameters: Vec<usize>,
 }
 
@@ -546,7 +543,6 @@ impl Candidate {
         self.changes.iter().map(key).eq(other.changes.iter().map(key))
     }
 
-    /// Fits the amounts.
     fn fitted(mut self, streams: &[Stream]) -> Self {
         /// Amounts alone need two.
         const MIN_STEPS: usize = 2;

@@ -25,7 +25,6 @@ pub(super) enum StepSize {
     Zero(usize, f64),
 }
 
-/// Causes of a segment.
 struct Causes {
     /// Per stream.
     frames: Vec<FrameCorrection>,

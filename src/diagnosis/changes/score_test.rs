@@ -29,14 +29,12 @@ fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
     frames.into_iter().chain(others).collect()
 }
 
-/// Variable columns that change.
 #[derive(Clone)]
 pub(super) struct ColumnChange {
     pub profile: Profile,
     pub columns: Range<usize>,
 }
 
-/// Causes that may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Causes {
     Any,
@@ -87,7 +85,6 @@ struct ScoreTest<'a> {
     causes: Vec<Range<usize>>,
     linear: &'a Linear,
     weights: &'a [Weight],
-    /// Time of each sample.
     t_s: Vec<f64>,
     /// Consecutive samples, with their sums.
     blocks: Vec<(Range<usize>, Sums)>,
@@ -121,7 +118,6 @@ type Candidate = (usize, usize, f64, f64);
 
 impl<'a> ScoreTest<'a> {
     fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
-        /// Samples of a block.
         const BLOCK: usize = 16;
         let normal = columns.normal_equations(linear, weights);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();

@@ -83,7 +83,6 @@ impl SplitRun<'_> {
         segment
     }
 
-    /// Of each stream.
     pub fn tracks_in(&self, span: Span) -> Vec<Option<PoseTrack>> {
         let track = |s: usize| {
             let stream = &self.arm.streams[s];

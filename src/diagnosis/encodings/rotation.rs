@@ -88,7 +88,6 @@ impl RotationCorrections {
     }
 }
 
-/// Rotations as logged.
 #[derive(Clone, Copy)]
 pub(crate) enum LoggedRotations<'a> {
     Rotations(&'a [Rotation]),
@@ -96,7 +95,6 @@ pub(crate) enum LoggedRotations<'a> {
 }
 
 impl<'a> LoggedRotations<'a> {
-    /// Orientations of a stream.
     pub fn from_orientations(orientation: &'a Orientations) -> Self {
         match orientation {
             Orientations::Rotations(rotations) => Self::Rotations(rotations),
@@ -115,7 +113,6 @@ pub(crate) enum FreeFrameErrors {
 }
 
 impl FreeFrameErrors {
-    /// Number of frames.
     pub fn frame_count(self) -> u8 {
         match self {
             Self::None => 0,
@@ -314,7 +311,6 @@ pub(crate) fn estimate_imu_encoding(
 
 /// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
 fn ranking<'a>(fits: &'a [EncodingFit], best: &EncodingFit) -> Vec<&'a EncodingFit> {
-    /// Number of distinct candidates.
     const MAX_RANKED: usize = 6;
     let same_frames = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut same_frames: Vec<&EncodingFit> = same_frames.collect();

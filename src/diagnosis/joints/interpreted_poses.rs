@@ -95,7 +95,6 @@ impl<'a> InterpretedPoses<'a> {
         }
     }
 
-    /// Some consecutive samples.
     pub fn range(&self, rows: Range<usize>) -> Self {
         let dof = self.chain.dof();
         Self {
@@ -113,7 +112,6 @@ impl<'a> InterpretedPoses<'a> {
         Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
     }
 
-    /// FK under `map`.
     pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
         let dof = self.chain.dof();
         let mut q = vec![0.0; self.q.len()];
@@ -161,7 +159,6 @@ impl<'a> InterpretedPoses<'a> {
         both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
     }
 
-    /// Residual in given frames.
     pub fn residual_against(&self, fk: &[Pose], frames: &ConstantFrames) -> ResidualSize {
         let (mut metres, mut radians) = (0.0, 0.0);
         for (k, fk) in fk.iter().enumerate() {

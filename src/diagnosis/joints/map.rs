@@ -10,7 +10,6 @@ pub(super) struct Coupling {
     pub joint: usize,
     /// Driving joint.
     pub by: usize,
-    /// Motion of `joint` per unit of `by`.
     pub factor: f64,
 }
 
@@ -18,24 +17,18 @@ pub(super) struct Coupling {
 /// `q[coupling.joint] += coupling.factor · q[coupling.by]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointMap {
-    /// Index in the row.
     pub from: Vec<usize>,
-    /// Scale.
     pub factor: Vec<f64>,
-    /// Offset.
     pub zero: Vec<f64>,
-    /// Coupled pair.
     pub coupling: Option<Coupling>,
 }
 
 impl JointMap {
-    /// Identity.
     pub fn as_logged(dof: usize) -> Self {
         let (from, zero) = ((0..dof).collect(), vec![0.0; dof]);
         Self { from, factor: vec![1.0; dof], zero, coupling: None }
     }
 
-    /// Joint positions of a logged row.
     pub fn apply(&self, row: &[f64], q: &mut [f64]) {
         for (j, q) in q.iter_mut().enumerate() {
             *q = self.factor[j] * row[self.from[j]] + self.zero[j];

@@ -60,7 +60,6 @@ pub(super) enum SearchOutcome {
     Found(JointInterpretation),
     /// Several fit equally well.
     Ambiguous,
-    /// None fits.
     Nothing,
 }
 
@@ -72,16 +71,12 @@ pub(super) enum InterpretationKind {
     Order,
     /// One joint coupled to another.
     Coupled,
-    /// Unit, and one joint.
     UnitAndOneJoint,
-    /// Two joints.
     TwoJoints,
-    /// Order, and one joint.
     OrderAndOneJoint,
 }
 
 impl InterpretationKind {
-    /// All kinds.
     pub const ALL: [InterpretationKind; 6] = [
         InterpretationKind::OneJoint,
         InterpretationKind::Order,

@@ -299,7 +299,6 @@ impl SpeedGrid {
         [known, values, cumulative(squares)]
     }
 
-    /// Ranges of valid values.
     fn valid_ranges(&self) -> Vec<Range<usize>> {
         let mut end = 0;
         let runs = self.known.chunk_by(|a, b| a == b).map(|run| {

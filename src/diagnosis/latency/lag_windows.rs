@@ -7,7 +7,6 @@ use crate::samples::sampling::rows_within;
 pub(crate) struct LagWindow {
     /// In the arm's time, s.
     pub middle_s: f64,
-    /// Latency, s.
     pub lag_s: f64,
     /// −1 to 1.
     pub correlation: f64,

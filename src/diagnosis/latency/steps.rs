@@ -30,7 +30,6 @@ pub struct LatencySteps {
 struct Level {
     /// Stamp, s from the run's origin.
     from_s: f64,
-    /// Latency, s.
     lag_s: f64,
     /// Interval before the first stamp, s. As long as the step if only the clock was set forward.
     gap_s: f64,

@@ -57,7 +57,6 @@ impl Basis {
         -self.price(windows)
     }
 
-    /// Terms of a bin.
     fn terms(&self, bin: usize, t_s: f64) -> Terms {
         match self {
             Self::Steps(times_s) => only([(times_s.partition_point(|at_s| *at_s <= t_s), 1.0)]),
@@ -159,7 +158,6 @@ impl Fit {
         Some(Self { basis, levels_s, information, scatter, square, score })
     }
 
-    /// Covariance of the levels.
     pub fn covariance(&self) -> DMatrix<f64> {
         self.information.inverse() * self.scatter
     }
