@@ -9,8 +9,8 @@ fn truth(t_s: f64) -> Pose {
     )
 }
 
-fn profile_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
-    latency_profile(aligned, skew, None, |_| 1.0, |late_s| Some(fk(aligned, truth, late_s)))
+fn profile_at(aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
+    latency_profile(aligned, 0.0, None, |_| 1.0, |late_s| Some(fk(aligned, truth, late_s)))
 }
 
 fn fk(aligned: &AlignedSamples, path: Path, late_s: &dyn Fn(f64) -> f64) -> Vec<Option<Pose>> {
@@ -31,16 +31,27 @@ fn with_speed(aligned: &AlignedSamples) -> EstimateResult<LatencyProfile> {
 
 /// 20 s at 50 Hz with latency `beyond_s` and model error `bent_m`.
 fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedSamples {
+    let mut aligned = aligned_along(truth, (1000, 0.02), beyond_s, noise_m);
+    for (logged, fk) in aligned.corrected.iter_mut().zip(&aligned.fk_at_truth) {
+        logged.translation.vector += bent_m * fk.translation.vector.map(f64::sin);
+    }
+    aligned
+}
+
+fn aligned_along(
+    path: Path,
+    (rows, period_s): (u32, f64),
+    beyond_s: impl Fn(f64) -> f64,
+    noise_m: f64,
+) -> AlignedSamples {
     let mut random = crate::test_random::Lcg::new();
     let mut aligned = AlignedSamples::default();
-    for row in 0..1000 {
-        let t_s = f64::from(row) * 0.02;
-        let mut logged = truth(t_s - beyond_s(t_s));
+    for t_s in (0..rows).map(|row| f64::from(row) * period_s) {
+        let mut logged = path(t_s - beyond_s(t_s));
         logged.translation.vector += Vec3::from(random.triple(noise_m));
-        logged.translation.vector += bent_m * truth(t_s).translation.vector.map(f64::sin);
         aligned.t_s.push(t_s);
         aligned.corrected.push(logged);
-        aligned.fk_at_truth.push(truth(t_s));
+        aligned.fk_at_truth.push(path(t_s));
     }
     aligned
 }
@@ -48,11 +59,8 @@ fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedS
 #[test]
 fn a_latency_step_is_estimated_with_time_and_size() {
     for (at_s, size_s) in [(7.3, 0.012), (12.41, -0.03)] {
-        let profile = profile_at(
-            &aligned(|t_s| if t_s < at_s { 0.001 } else { 0.001 + size_s }, 1e-4, 0.0),
-            0.0,
-        );
-        let profile = profile.expect("a profile");
+        let late = |t_s: f64| if t_s < at_s { 0.001 } else { 0.001 + size_s };
+        let profile = profile_at(&aligned(late, 1e-4, 0.0)).expect("a profile");
         let [jump] = profile.steps.as_slice() else { panic!("{profile:?}") };
         // Linear in the latency.
         assert!((jump.size_s.value - size_s).abs() < 0.05 * size_s.abs(), "{jump:?}");
@@ -66,8 +74,8 @@ fn a_latency_step_is_estimated_with_time_and_size() {
 
 #[test]
 fn a_wandering_latency_is_measured_from_minimum_to_maximum() {
-    let profile = profile_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
-    let profile = profile.expect("a profile");
+    let late = |t_s: f64| 0.01 * (0.6 * t_s).sin();
+    let profile = profile_at(&aligned(late, 1e-4, 0.0)).expect("a profile");
     assert!(profile.is_unsteady, "{profile:?}");
     assert!((0.016..0.024).contains(&profile.swing_s.value.abs()), "{profile:?}");
 }
@@ -75,12 +83,12 @@ fn a_wandering_latency_is_measured_from_minimum_to_maximum() {
 #[test]
 fn noise_skew_and_model_error_are_steady() {
     for noise_m in [1e-6, 1e-4, 2e-3] {
-        let steady = profile_at(&aligned(|_| 0.0, noise_m, 0.0), 0.0).expect("a profile");
+        let steady = profile_at(&aligned(|_| 0.0, noise_m, 0.0)).expect("a profile");
         assert!(!steady.is_unsteady, "{steady:?}");
     }
-    let skewed = profile_at(&aligned(|t_s| 3e-4 * t_s, 1e-4, 0.0), 0.0).expect("a profile");
+    let skewed = profile_at(&aligned(|t_s| 3e-4 * t_s, 1e-4, 0.0)).expect("a profile");
     assert!(!skewed.is_unsteady, "{skewed:?}");
-    let bent = profile_at(&aligned(|_| 0.0, 1e-5, 0.01), 0.0).expect("a profile");
+    let bent = profile_at(&aligned(|_| 0.0, 1e-5, 0.01)).expect("a profile");
     assert!(!bent.is_unsteady, "{bent:?}");
 }
 
@@ -88,14 +96,14 @@ fn noise_skew_and_model_error_are_steady() {
 fn an_arm_at_rest_has_no_latency_profile() {
     let mut still = aligned(|_| 0.0, 0.0, 0.0);
     still.fk_at_truth.fill(truth(0.0));
-    assert!(profile_at(&still, 0.0).is_err());
-    assert!(profile_at(&AlignedSamples::default(), 0.0).is_err());
+    assert!(profile_at(&still).is_err());
+    assert!(profile_at(&AlignedSamples::default()).is_err());
 }
 
 #[test]
 fn a_ramp_is_estimated_with_its_ends() {
     let late = |t_s: f64| 0.02 * ((t_s - 6.0) / 7.0).clamp(0.0, 1.0);
-    let found = profile_at(&aligned(late, 1e-4, 0.0), 0.0).expect("a profile");
+    let found = profile_at(&aligned(late, 1e-4, 0.0)).expect("a profile");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{:?}", found.shape) };
     assert!((from_s - 6.0).abs() < 1.0 && (to_s - 13.0).abs() < 1.0, "{from_s} {to_s}");
     assert!((found.swing_s.value - 0.02).abs() < 1e-3, "{:?}", found.swing_s);
@@ -114,17 +122,8 @@ fn stop_and_go(t_s: f64) -> Pose {
 
 #[test]
 fn a_ramp_is_estimated_in_stop_and_go_motion() {
-    let mut random = crate::test_random::Lcg::new();
-    let mut found = AlignedSamples::default();
-    for row in 0..3200 {
-        let t_s = f64::from(row) * 0.01;
-        let late = -0.015 + 0.025 * ((t_s - 12.0) / 8.0).clamp(0.0, 1.0);
-        let mut logged = stop_and_go(t_s - late);
-        logged.translation.vector += Vec3::from(random.triple(2e-5));
-        found.t_s.push(t_s);
-        found.corrected.push(logged);
-        found.fk_at_truth.push(stop_and_go(t_s));
-    }
+    let late = |t_s: f64| -0.015 + 0.025 * ((t_s - 12.0) / 8.0).clamp(0.0, 1.0);
+    let found = aligned_along(stop_and_go, (3200, 0.01), late, 2e-5);
     let at = |late_s: &dyn Fn(f64) -> f64| Some(fk(&found, stop_and_go, late_s));
     let found = latency_profile(&found, 0.0, None, |_| 1.0, at).expect("a profile");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{found:?}") };
