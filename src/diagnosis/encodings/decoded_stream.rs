@@ -309,33 +309,29 @@ fn choose_branches(
     lag_s: f64,
     offsets: &[f64],
 ) {
-    let (mut decoded_t_s, mut decoded_xyz, mut decoded_rotation) =
-        (Vec::new(), Vec::new(), Vec::new());
     let mut sweep = PredictionBuffers::new(observations);
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
     let after = interpretation.corrections();
-    for k in 0..observations.len() {
-        let Some(fk) = observations.pose_at(k, &state, offsets, &mut sweep) else {
-            continue;
-        };
+    let decode = |k: usize| {
+        let fk = observations.pose_at(k, &state, offsets, &mut sweep)?;
         let rotation = match fit {
-            Some(EncodingFit { encoding: reading, reference, tool, .. }) => {
+            Some(EncodingFit { encoding, reference, tool, .. }) => {
                 let expected = reference * fk.rotation * tool;
-                decode_nearest(reading, &after, logged, k, &expected, &mut buffer)
+                decode_nearest(encoding, &after, logged, k, &expected, &mut buffer)?
             }
-            None => Some(interpretation.reference.unwrap_or_default() * fk.rotation),
+            None => interpretation.reference.unwrap_or_default() * fk.rotation,
         };
-        let Some(rotation) = rotation else { continue };
-        decoded_t_s.push(observations.t_s[k]);
-        decoded_xyz.push(match interpretation.is_inverted {
-            true => -(rotation * observations.xyz[k]),
-            false => observations.xyz[k],
-        });
-        decoded_rotation.push(rotation);
-    }
-    (observations.t_s, observations.xyz, observations.rotation) =
-        (decoded_t_s, decoded_xyz, decoded_rotation);
+        Some((k, rotation))
+    };
+    let decoded: Vec<(usize, Rotation)> = (0..observations.len()).filter_map(decode).collect();
+    let position = |&(k, rotation): &(usize, Rotation)| match interpretation.is_inverted {
+        true => -(rotation * observations.xyz[k]),
+        false => observations.xyz[k],
+    };
+    observations.xyz = decoded.iter().map(position).collect();
+    observations.t_s = decoded.iter().map(|(k, _)| observations.t_s[*k]).collect();
+    observations.rotation = decoded.into_iter().map(|(_, rotation)| rotation).collect();
 }
 
 #[cfg(test)]
