@@ -2,7 +2,7 @@
 
 use super::{MIN_MOVING_JOINTS, NumericTable, tolerated_range};
 use ground::robot::Chain;
-use ground::stats::median;
+use ground::stats::{median, parabola_minimum};
 
 /// Between a column and another's rate.
 const MIN_RATE_CORRELATION: f64 = 0.95;
@@ -100,9 +100,7 @@ impl NumericTable {
         {
             return None;
         }
-        let (before, after) = (residual(by - 1), residual(by + 1));
-        let curvature = before - 2.0 * min_residual + after;
-        let between = if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
+        let between = parabola_minimum([residual(by - 1), min_residual, residual(by + 1)]);
         let between = if min_residual == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
         Some(GroupShift { delay_s: (by as f64 + between) * step_s, residual: min_residual.sqrt() })
     }

@@ -10,7 +10,7 @@ use crate::model::jacobian::PoseJacobian;
 use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
-use ground::stats::{cumulative, median};
+use ground::stats::{cumulative, median, parabola_minimum};
 use ground::stream::{JointTrack, PoseTrack};
 use realfft::RealFftPlanner;
 
@@ -197,8 +197,7 @@ pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64)
         .filter_map(|around| {
             let [a, b, c] = [0, 1, 2].map(|at| around[at].correlation);
             let is_peak = b.is_finite() && b >= a && b > c;
-            let curvature = a - 2.0 * b + c;
-            let shift = if curvature < 0.0 { 0.5 * (a - c) / curvature } else { 0.0 };
+            let shift = parabola_minimum([-a, -b, -c]);
             let step = around[2].lag_s - around[1].lag_s;
             let peak = LagPeak { lag_s: around[1].lag_s + shift * step, correlation: b };
             is_peak.then_some(peak)

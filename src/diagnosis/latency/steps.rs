@@ -9,6 +9,7 @@ use super::speed_residual::{
 };
 use crate::samples::sampling::{monotonic_rows, range_of, rows_within};
 use crate::{EstimateResult, Measured};
+use ground::stats::parabola_minimum;
 
 /// Between two candidate lags.
 const MIN_LAG_SEPARATION_S: f64 = 0.015;
@@ -167,12 +168,7 @@ impl LatencySteps {
             let Some((min_residual, best_s)) = best_s else { return lag_s };
             let [before, after] =
                 [best_s - LAG_SEARCH_STEP_S, best_s + LAG_SEARCH_STEP_S].map(cost);
-            let curvature = before - 2.0 * min_residual + after;
-            if curvature > 0.0 {
-                best_s + 0.5 * LAG_SEARCH_STEP_S * (before - after) / curvature
-            } else {
-                best_s
-            }
+            best_s + LAG_SEARCH_STEP_S * parabola_minimum([before, min_residual, after])
         });
         let mut finer: Vec<f64> = finer.collect();
         finer.sort_by(f64::total_cmp);

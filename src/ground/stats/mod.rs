@@ -27,6 +27,12 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
+/// Minimum of the parabola through three evenly spaced values, in intervals from the middle one. 0 without a minimum.
+pub fn parabola_minimum([before, at, after]: [f64; 3]) -> f64 {
+    let curvature = before - 2.0 * at + after;
+    if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 }
+}
+
 /// Sums of the values before each one, and of all: one entry more than values.
 pub fn cumulative(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut sum = 0.0;
