@@ -179,16 +179,12 @@ fn compared_shares(
     streams: &[PoseStream],
     changes: &[Option<CoarseLatencyChange>],
 ) -> Vec<f64> {
-    let (Some(&first_s), Some(&last_s)) = (joints.t_s.first(), joints.t_s.last()) else {
-        return vec![0.0; streams.len()];
-    };
+    let Some((first_s, last_s)) = joints.span() else { return vec![0.0; streams.len()] };
     let share = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
         let t_s = &stream.track.t_s;
         let is_compared = |t_s: &f64| (first_s..=last_s).contains(t_s);
         let compared = match change {
-            Some(change) => {
-                change.compensated(t_s).iter().filter(|row| is_compared(&row.1)).count()
-            }
+            Some(it) => it.compensated(t_s).iter().filter(|(_, t_s)| is_compared(t_s)).count(),
             None => t_s.iter().filter(|t_s| is_compared(t_s)).count(),
         };
         compared as f64 / t_s.len().max(1) as f64
