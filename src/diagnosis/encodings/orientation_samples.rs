@@ -45,13 +45,9 @@ impl PositionInterpretation {
         }
         let both = |axes| AxesError { positions: axes, rotations: axes };
         let positions = |axes| AxesError { positions: axes, ..standard };
+        let unturned = |axes| interpretation(axes, Some(Rotation::identity()));
         match (layout.axes, layout.is_mirrored()) {
-            (Some(axes), true) => {
-                vec![
-                    interpretation(both(axes), Some(Rotation::identity())),
-                    interpretation(positions(axes), Some(Rotation::identity())),
-                ]
-            }
+            (Some(axes), true) => vec![unturned(both(axes)), unturned(positions(axes))],
             (None, true) => {
                 // In a freely rotated world all mirrors are equivalent; use the most common.
                 let back = axes_matrix(Axes::UNITY).transpose();
@@ -63,8 +59,8 @@ impl PositionInterpretation {
             }
             (Some(axes), false) if axes.are_exchanged() && !layout.is_inverted => vec![
                 interpretation(standard, Some(rotation_of(&layout.turn))),
-                interpretation(both(axes), Some(Rotation::identity())),
-                interpretation(positions(axes), Some(Rotation::identity())),
+                unturned(both(axes)),
+                unturned(positions(axes)),
             ],
             (_, false) => vec![interpretation(standard, Some(rotation_of(&layout.turn)))],
         }
