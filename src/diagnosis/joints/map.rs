@@ -199,14 +199,11 @@ pub(super) fn candidate_orders(names: &[String], max_joints: usize) -> Vec<Vec<u
             all.push(swapped);
         }
     }
-    all.push((0..dof).rev().collect());
     let mut sorted = order.clone();
     sorted.sort_by_key(|&joint| &names[joint]);
     let mut rank = vec![0; dof];
     sorted.iter().enumerate().for_each(|(place, &joint)| rank[joint] = place);
-    all.push(order);
-    all.push(sorted);
-    all.push(rank);
+    all.extend([(0..dof).rev().collect(), order, sorted, rank]);
     all
 }
 
