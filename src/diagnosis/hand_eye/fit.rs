@@ -5,11 +5,12 @@
 use super::series::{HandEyeSetting, PoseSeries};
 use super::start::{HandEyeStart, MEDIAN_NORMAL_LENGTH, combined_rad};
 use super::{CameraMount, CameraPose, MIN_POSES};
-use crate::solver::linear::{Linear, Normal, Weight};
+use crate::model::jacobian::pose_change;
+use crate::solver::linear::{Linear, Weight};
 use crate::solver::robust::sandwich;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::{Measured, median};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
 pub(crate) const WIDTH: usize = 13;
@@ -54,7 +55,7 @@ impl HandEyeFit<'_> {
         let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
             let linear = state.linear(setting, Some(stretched));
             let first_weights = linear.weights_after(&vec![0.0; linear.width]);
-            let step = step_of(&normal_of(&linear, &first_weights));
+            let step = linear.normal(&first_weights).full_step();
             let weights = linear.weights_after(step.as_slice());
             let variance = covariance_of(&linear, &weights)[(WIDTH, WIDTH)];
             let independent = 3.0 * linear.len() as f64 / weights[0].noise.inflation();
@@ -103,7 +104,7 @@ impl HandEyeFit<'_> {
     /// Deviation of a target's pose from the prediction, m and rad in camera axes. `None` if the carrier's pose is
     /// unknown.
     pub fn residual(&self, setting: &HandEyeSetting, t_s: f64, target: &Pose) -> Option<[Vec3; 2]> {
-        Some(difference(target, &self.state.predict_at(setting, t_s)?))
+        Some(pose_change(&self.state.predict_at(setting, t_s)?, target))
     }
 
     /// Whether these residuals are an outlier's.
@@ -123,14 +124,6 @@ impl TargetScale {
         let surer = if surely(&size) > surely(&depth) { size } else { depth };
         surer.scaled(self.distance_m)
     }
-}
-
-/// Position and rotation, m and rad.
-fn difference(observed: &Pose, predicted: &Pose) -> [Vec3; 2] {
-    [
-        observed.translation.vector - predicted.translation.vector,
-        rotvec_from_rotation(&(observed.rotation * predicted.rotation.inverse())),
-    ]
 }
 
 #[derive(Clone, Copy)]
@@ -169,7 +162,7 @@ impl HandEyeState {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
             let Some(carrier_pose) = at(0.0) else { continue };
             let predicted = self.predict(&carrier_pose);
-            let mut rows = linear.push(&difference(&target, &predicted).map(Into::into));
+            let mut rows = linear.push(&pose_change(&predicted, &target).map(Into::into));
             let observed = predicted.translation.vector;
             let turned = (carrier_pose * self.camera).rotation.inverse();
             for axis in 0..3 {
@@ -181,7 +174,7 @@ impl HandEyeState {
                 rows.set(1, 9 + axis, (turned * unit).into());
             }
             if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
-                let [shift, turn] = difference(&self.predict(&before), &self.predict(&after));
+                let [shift, turn] = pose_change(&self.predict(&after), &self.predict(&before));
                 rows.set(0, OFFSET_COLUMN, (shift / (2.0 * STEP_S)).into());
                 rows.set(1, OFFSET_COLUMN, (turn / (2.0 * STEP_S)).into());
             }
@@ -236,15 +229,15 @@ fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeS
         if linear.len() < MIN_POSES {
             return None;
         }
-        let normal = normal_of(&linear, &weights);
-        let mut step = step_of(&normal);
+        let normal = linear.normal(&weights);
+        let mut step = normal.full_step();
         let mut next = None;
         for _ in 0..MAX_HALVINGS {
             let moved = state.stepped(step.as_slice());
             let there = moved.linear(setting, None);
             // The offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
-            if !same || normal_of(&there, &weights).cost <= normal.cost {
+            if !same || there.normal(&weights).cost <= normal.cost {
                 next = Some((moved, there));
                 break;
             }
@@ -260,19 +253,6 @@ fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeS
         }
     }
     Some(state)
-}
-
-fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
-    let mut normal = Normal::zeros(linear.width);
-    let columns: Vec<usize> = (0..linear.width).collect();
-    linear.accumulate(weights, &columns, &mut normal);
-    normal
-}
-
-/// Step of all parameters.
-fn step_of(normal: &Normal) -> DVector<f64> {
-    let width = normal.right.len();
-    normal.step(&DVector::zeros(width), &(0..width).collect::<Vec<usize>>())
 }
 
 /// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
