@@ -18,7 +18,8 @@ use crate::selection::model_selection::{
     select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{
-    MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, Timing, is_nominal, rms, timing_beside_link_deviations,
+    Timing, is_calibratable, is_calibratable_frame, is_nominal, rms_of_kinds,
+    timing_beside_link_deviations,
 };
 use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
@@ -124,8 +125,7 @@ fn fit_with_link_deviations(
     let (mut model, mut candidates) = fit_with(false);
     let follows_in_other_frames = |s: usize| {
         let State { offsets, streams } = &model.state;
-        let [m, rad] = constant_frame_residual(observations[s], &streams[s], offsets);
-        m < MAX_TIP_CHANGE_M && rad < MAX_TIP_CHANGE_RAD
+        is_calibratable(constant_frame_residual(observations[s], &streams[s], offsets))
     };
     let is_open = with_offsets && !explains_all(&model);
     if is_open && (0..observations.len()).any(follows_in_other_frames) {
@@ -292,18 +292,17 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
 
 /// Whether link deviations may explain every stream's residual.
 fn is_within_calibration(model: &SelectedModel) -> bool {
-    leaves_less_than(model, [MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD])
+    residuals(model).all(is_calibratable)
 }
 
 /// Whether every stream's residual counts as explained.
 fn explains_all(model: &SelectedModel) -> bool {
-    leaves_less_than(model, [MAX_EXPLAINED_M, MAX_EXPLAINED_RAD])
+    residuals(model).all(|[m, rad]| m < MAX_EXPLAINED_M && rad < MAX_EXPLAINED_RAD)
 }
 
-/// Whether the residual of every stream is less than these, m and rad.
-fn leaves_less_than(model: &SelectedModel, limits: [f64; 2]) -> bool {
-    let mut streams = model.linear.streams.iter();
-    streams.all(|stream| (0..2).all(|kind| rms(&stream.residual[kind]) < limits[kind]))
+/// Residual of every stream, rms m and rad.
+fn residuals(model: &SelectedModel) -> impl Iterator<Item = [f64; 2]> {
+    model.linear.streams.iter().map(|stream| rms_of_kinds(&stream.residual))
 }
 
 /// Causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
@@ -312,9 +311,7 @@ fn small_causes(model: &SelectedModel, s: usize) -> Vec<Cause> {
     let stream = &model.state.streams[s];
     let is_small_frame = |frame: &Pose| {
         let (m, rad) = (frame.translation.vector.norm(), frame.rotation.angle());
-        (m > MAX_EXPLAINED_M || rad > MAX_EXPLAINED_RAD)
-            && m <= MAX_TIP_CHANGE_M
-            && rad <= MAX_TIP_CHANGE_RAD
+        (m > MAX_EXPLAINED_M || rad > MAX_EXPLAINED_RAD) && is_calibratable([m, rad])
     };
     let is_small = |cause: &&Cause| match **cause {
         Cause::Zero(joint) => {
@@ -348,11 +345,8 @@ fn large_zeros(state: &State, corrected: &CorrectedJoints) -> Vec<f64> {
 /// Keeps frames that are unknown, round, or too large for a calibration.
 pub(super) fn without_small_causes(model: &SelectedModel, stream: usize) -> StreamState {
     let state = &model.state.streams[stream];
-    let is_large = |frame: &Pose| {
-        frame.translation.vector.norm() > MAX_TIP_CHANGE_M
-            || frame.rotation.angle() > MAX_TIP_CHANGE_RAD
-    };
-    let unless_small = |frame: &Pose| if is_large(frame) { *frame } else { Pose::identity() };
+    let unless_small =
+        |frame: &Pose| if is_calibratable_frame(frame) { Pose::identity() } else { *frame };
     StreamState {
         radial_scale: 0.0,
         reference: unless_small(&state.reference),

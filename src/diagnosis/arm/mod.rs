@@ -24,11 +24,10 @@ use crate::selection::evidence::log_bayes_factor;
 use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
 pub(super) use crate::selection::model_selection::FIT_SAMPLES;
-use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
+use crate::selection::nominal_model::{is_calibratable, is_calibratable_frame};
 use crate::{
-    ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
-    JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream,
-    StreamResidual,
+    ArmDiagnosis, EstimateResult, JointCoupling, JointDiagnosis, JointEncoding, JointOffset,
+    JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream, StreamResidual,
 };
 use beside_links::BesideLinks;
 use fit::fit;
@@ -384,10 +383,7 @@ impl EncodingResult {
                     && residual.rms_rad < MAX_EXPLAINED_RAD
                     && stream.encoding.is_ok()
             });
-            let FrameCorrection { reference, .. } = &stream.frame_correction;
-            is_explained
-                && reference.translation.vector.norm() < MAX_TIP_CHANGE_M
-                && reference.rotation.angle() < MAX_TIP_CHANGE_RAD
+            is_explained && is_calibratable_frame(&stream.frame_correction.reference)
         };
         let pairs = self.streams.iter().zip(&before.streams);
         pairs.into_iter().all(|(after, before)| !agrees(before) || agrees(after))
@@ -428,9 +424,8 @@ impl EncodingResult {
 
 /// Whether it differs from FK by no more than a calibration does, without any correction.
 fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
-    let is_near = |residual: &StreamResidual| {
-        residual.before_m < MAX_TIP_CHANGE_M && residual.before_rad < MAX_TIP_CHANGE_RAD
-    };
+    let is_near =
+        |residual: &StreamResidual| is_calibratable([residual.before_m, residual.before_rad]);
     stream.encoding.is_ok() && stream.residual.as_ref().is_ok_and(is_near)
 }
 

@@ -8,7 +8,7 @@ use crate::model::jacobian::{Derivative, PoseJacobian, pose_change};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
-use crate::selection::nominal_model::rms;
+use crate::selection::nominal_model::rms_of_kinds;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3, pose};
@@ -296,7 +296,7 @@ impl<'a> CauseColumns<'a> {
     /// Residual that constant causes and link deviations leave, rms m. Angles are weighted by 0.3 m.
     pub fn unexplained_m(&self) -> f64 {
         let (linear, fit) = self.constant_fit();
-        let [m, rad] = [0, 1].map(|kind| rms(&linear.residuals_after(fit.as_slice())[kind]));
+        let [m, rad] = rms_of_kinds(&linear.residuals_after(fit.as_slice()));
         m.hypot(LEVER_M * rad)
     }
 

@@ -26,6 +26,17 @@ use nalgebra::{DMatrix, DVector};
 /// Rms tip change by a calibration.
 pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
 pub(crate) const MAX_TIP_CHANGE_RAD: f64 = RAD_PER_M * MAX_TIP_CHANGE_M;
+
+/// Whether a calibration may change the tip by this much, m and rad.
+pub(crate) fn is_calibratable([m, rad]: [f64; 2]) -> bool {
+    m <= MAX_TIP_CHANGE_M && rad <= MAX_TIP_CHANGE_RAD
+}
+
+/// Whether a calibration may change the tip as much as this error of a frame does.
+pub(crate) fn is_calibratable_frame(frame: &Pose) -> bool {
+    is_calibratable([frame.translation.vector.norm(), frame.rotation.angle()])
+}
+
 /// Over the noise, of positions, or the equivalent of rotations.
 const MIN_EXCESS_M: f64 = 0.3e-3;
 /// Same with joint zeros, whose intervals it widens.
@@ -45,8 +56,8 @@ pub(crate) fn is_nominal(
     offsets: &[f64],
 ) -> bool {
     let as_recorded = observations.linearize(stream_state, offsets, MAX_SAMPLES);
-    let [rms_m, rms_rad] = [0, 1].map(|kind| rms(&as_recorded.residual[kind]));
-    if rms_m > MAX_TIP_CHANGE_M || rms_rad > MAX_TIP_CHANGE_RAD {
+    let [rms_m, rms_rad] = rms_of_kinds(&as_recorded.residual);
+    if !is_calibratable([rms_m, rms_rad]) {
         return false;
     }
     let calibration = LinkFrameChanges::fit(observations, stream_state, offsets);
@@ -80,9 +91,7 @@ pub(crate) fn is_unsteady_beside_links(
     let logged = observations.with_stamps(logged_s);
     let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
     let as_logged = logged.linearize(state, offsets, MAX_SAMPLES);
-    if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
-        || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
-    {
+    if !is_calibratable(rms_of_kinds(&as_logged.residual)) {
         return None;
     }
     // The constant latency absorbs the pivot of the skew.
@@ -155,7 +164,12 @@ pub(crate) fn timing_beside_link_deviations(
     })
 }
 
-pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
+/// Rms of positions, m, and rotations, rad.
+pub(crate) fn rms_of_kinds(residuals: &[Vec<[f64; 3]>]) -> [f64; 2] {
+    [0, 1].map(|kind| rms(&residuals[kind]))
+}
+
+pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
     mean_square(residual).sqrt()
 }
 

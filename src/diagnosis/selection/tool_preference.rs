@@ -2,7 +2,7 @@
 //! constant tool orientation. A tool offset is a normal setting, a displaced base is a fault.
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel, select_model};
-use super::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, noise_beside_links};
+use super::nominal_model::{is_calibratable_frame, noise_beside_links};
 use crate::frames::constant_frames::tool_start;
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::priors::price;
@@ -34,9 +34,7 @@ pub(crate) fn prefer_tool_frames(
             continue;
         };
         // Link deviations imitate smaller frames, whichever end they are at.
-        let is_small = tool.translation.vector.norm() <= MAX_TIP_CHANGE_M
-            && tool.rotation.angle() <= MAX_TIP_CHANGE_RAD;
-        if is_small {
+        if is_calibratable_frame(&tool) {
             continue;
         }
         let by_tool = StreamState { tool, ..without_reference };
