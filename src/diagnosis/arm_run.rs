@@ -1,6 +1,6 @@
 //! Input of a diagnosis of an arm's run.
 
-use crate::arm::{diagnose_arm, diagnose_arm_as_logged, diagnose_arm_encoded};
+use crate::arm::{diagnose_arm, diagnose_arm_encoded};
 use crate::{ArmDiagnosis, JointEncoding, PoseStream};
 use ground::stream::JointTrack;
 
@@ -37,7 +37,7 @@ impl ArmRun<'_> {
 
     /// The same, without another encoding of the joint states.
     pub fn diagnose_as_logged(&self) -> ArmDiagnosis {
-        diagnose_arm_as_logged(self.joints, self.streams, self.max_lag_s)
+        self.diagnose_encoded(JointEncoding::default())
     }
 
     /// The same, with the joint states in this encoding.

@@ -38,22 +38,19 @@ use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
-/// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
-pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
-    if are_floating(streams) {
-        return diagnose_arm_as_logged(joints, streams, max_lag_s);
-    }
-    diagnose_with(joints, streams, max_lag_s)
-}
-
 /// Whether the streams are compared with poses instead of joint states.
 pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
     streams.iter().any(|stream| stream.chain.is_floating())
 }
 
-/// Diagnoses with the joint encoding that explains the streams. Another one than the logged replaces it if it is
+/// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
+///
+/// The joint encoding is the one that explains the streams. Another one than the logged replaces it if it is
 /// credible and keeps streams that already agree; finally it must be the likelier one.
-fn diagnose_with(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
+pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
+    if are_floating(streams) {
+        return diagnose_arm_encoded(joints, streams, max_lag_s, JointEncoding::default());
+    }
     let search = EncodingSearch::new(joints, streams, max_lag_s);
     let as_logged = JointEncoding::default();
     let (mut encoding, metres) = search.estimate();
@@ -254,16 +251,7 @@ fn position_encodings(
     streams.iter().map(estimate).collect()
 }
 
-/// Diagnoses joint states and streams without looking for another joint encoding.
-pub(super) fn diagnose_arm_as_logged(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    max_lag_s: f64,
-) -> ArmDiagnosis {
-    diagnose_arm_encoded(joints, streams, max_lag_s, JointEncoding::default())
-}
-
-/// Diagnoses joint states in this encoding. Scales and couplings are refined.
+/// Diagnoses joint states in this encoding, without looking for another. Scales and couplings are refined.
 pub(super) fn diagnose_arm_encoded(
     joints: &JointTrack,
     streams: &[PoseStream],
