@@ -1,7 +1,7 @@
 //! Target poses decoded from another encoding.
 
-use super::CameraMount;
-use super::series::{HandEyeSetting, PoseSeries};
+use super::series::HandEyeSetting;
+use super::{CameraMount, HandEyeStreams};
 use ground::geometry::{
     MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_xyzw,
     xyzw_from_rotation,
@@ -49,26 +49,19 @@ impl TargetScaleError {
     }
 }
 
-#[derive(Clone, Copy)]
-pub(super) struct DecodedTarget<'a> {
-    series: &'a PoseSeries,
-    pub encoding: TargetEncoding,
-    stride: usize,
-}
-
-impl<'a> DecodedTarget<'a> {
-    /// Thinned to about `most` poses.
-    pub fn new(series: &'a PoseSeries, encoding: TargetEncoding, most: usize) -> Self {
-        let stride = series.t_s.len().div_ceil(most).max(1);
-        Self { series, encoding, stride }
-    }
-
-    /// Hand and decoded target.
-    pub fn setting<'h>(&self, hand: &'h PoseSeries, mount: CameraMount) -> HandEyeSetting<'h> {
+impl<'a> HandEyeStreams<'a> {
+    /// Hand and decoded target, thinned to about `most` poses.
+    pub(super) fn setting(
+        &self,
+        encoding: TargetEncoding,
+        mount: CameraMount,
+        most: usize,
+    ) -> HandEyeSetting<'a> {
+        let stride = self.target.t_s.len().div_ceil(most).max(1);
         let mut truths = Vec::new();
-        let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
-        let poses = stamped.map(|(&t_s, pose)| (t_s, self.encoding.decode(pose, &mut truths)));
-        HandEyeSetting::new(hand, poses, mount)
+        let stamped = self.target.t_s.iter().zip(&self.target.poses).step_by(stride);
+        let poses = stamped.map(|(&t_s, pose)| (t_s, encoding.decode(pose, &mut truths)));
+        HandEyeSetting::new(self.hand, poses, mount)
     }
 }
 

@@ -27,7 +27,6 @@ use ground::stats::{Measured, MeasuredLength};
 use nalgebra::{DMatrix, DVector};
 
 use closure::closure_error;
-use decoded_target::DecodedTarget;
 pub use decoded_target::{TargetEncoding, TargetScaleError};
 use diversity::rotation_diversity;
 pub use fit::TargetScale;
@@ -197,9 +196,8 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
     }
     let peaks = rotation_lag_peaks(hand, target, max_lag_s);
     let lags = candidate_lags(&peaks);
-    let as_logged = DecodedTarget::new(target, TargetEncoding::AsLogged, MAX_FIT_POSES);
-    let lag_s = best_lag_s(hand, &as_logged, &lags);
-    let observed = as_logged.setting(hand, CameraMount::InHand);
+    let lag_s = best_lag_s(streams, &lags);
+    let observed = streams.setting(TargetEncoding::AsLogged, CameraMount::InHand, MAX_FIT_POSES);
     let diversity = match observed.pairs_at(lag_s, usize::MAX).len() {
         MIN_POSES.. => Ok(rotation_diversity(&observed, lag_s)),
         have => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
@@ -279,10 +277,11 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
 }
 
 /// Smallest closure error of the closed form.
-fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
+fn best_lag_s(streams: &HandEyeStreams, lags: &[f64]) -> f64 {
+    let settings = CameraMount::ALL
+        .map(|mount| streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES));
     let misfit = |lag_s: f64| {
-        let starts = CameraMount::ALL
-            .map(|mount| start::solve_closed_form(&target.setting(hand, mount), lag_s));
+        let starts = settings.each_ref().map(|setting| start::solve_closed_form(setting, lag_s));
         starts.into_iter().flatten().map(|start| start.misfit).fold(f64::MAX, f64::min)
     };
     let misfits = lags.iter().map(|&lag_s| (misfit(lag_s), lag_s));
@@ -295,9 +294,8 @@ fn solve(
     encoding: TargetEncoding,
     lag_s: f64,
 ) -> Option<HandEyeSolution> {
-    let target = DecodedTarget::new(streams.target, encoding, MAX_FIT_POSES);
     let fits = CameraMount::ALL.map(|mount| {
-        let setting = target.setting(streams.hand, mount);
+        let setting = streams.setting(encoding, mount, MAX_FIT_POSES);
         let start = start::solve_closed_form(&setting, lag_s)?;
         let fit = fit(setting, start, lag_s)?;
         Some((mount, fit.misfit(), fit))
@@ -306,8 +304,7 @@ fn solve(
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
     let (mount, misfit, fit) = fits.into_iter().next()?;
-    let full = DecodedTarget::new(streams.target, encoding, usize::MAX);
-    let closure = closure_error(&full.setting(streams.hand, mount), &fit)?;
+    let closure = closure_error(&streams.setting(encoding, mount, usize::MAX), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
     let scale = fit.scale(along);
     let offset_s =

@@ -2,7 +2,7 @@
 //! Observable are positions in other axes than rotations, transposed or misinterpreted rotations, and
 //! scaled positions.
 
-use super::decoded_target::{DecodedTarget, TargetEncoding, TargetScaleError};
+use super::decoded_target::{TargetEncoding, TargetScaleError};
 use super::start::{angle_difference, solve_closed_form_quick};
 use super::target_scale::estimate_scale_error;
 use super::{CameraMount, HandEyeSolution, HandEyeStreams, solve};
@@ -82,9 +82,8 @@ fn closure_error_with(
     encoding: TargetEncoding,
     lag_s: f64,
 ) -> Option<f64> {
-    let decoded = DecodedTarget::new(streams.target, encoding, MAX_POSES);
     let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
-        let pairs = decoded.setting(streams.hand, mount).pairs_at(lag_s, MAX_POSES);
+        let pairs = streams.setting(encoding, mount, MAX_POSES).pairs_at(lag_s, MAX_POSES);
         Some(solve_closed_form_quick(&pairs)?.misfit)
     });
     misfits.min_by(f64::total_cmp)
@@ -98,8 +97,7 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     /// Encodings that improve the angles.
     const MAX_ENCODINGS: usize = 6;
     let difference_of = |encoding| {
-        let decoded = DecodedTarget::new(streams.target, encoding, MAX_POSES);
-        let setting = decoded.setting(streams.hand, CameraMount::InHand);
+        let setting = streams.setting(encoding, CameraMount::InHand, MAX_POSES);
         angle_difference(&setting.pairs_at(lag_s, MAX_POSES / 2))
     };
     let as_logged = difference_of(TargetEncoding::AsLogged);

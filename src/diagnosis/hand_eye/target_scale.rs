@@ -1,7 +1,7 @@
 //! Scale errors of a target's positions: a wrong tag size scales all coordinates, a wrong focal length only
 //! depth.
 
-use super::decoded_target::{DecodedTarget, TargetEncoding, TargetScaleError};
+use super::decoded_target::{TargetEncoding, TargetScaleError};
 use super::series::mean_direction;
 use super::start::{
     DEPTH_COLUMN, MEDIAN_NORMAL_LENGTH, PositionFit, SIZE_COLUMN, fit_positions,
@@ -25,8 +25,8 @@ pub(super) fn estimate_scale_error(
     /// In standard errors and as a value, which lens distortion reaches.
     const MIN_STD_ERRORS: f64 = 5.0;
     const MIN_DEVIATION: f64 = 2e-3;
-    let target = DecodedTarget::new(streams.target, TargetEncoding::AsLogged, MAX_FIT_POSES);
-    let pairs = target.setting(streams.hand, mount).pairs_at(offset_s, MAX_FIT_POSES);
+    let setting = streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES);
+    let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
     let rotation = solve_closed_form_quick(&pairs)?.camera.rotation;
     let along = Vec3::from(mean_direction(streams.target)).iamax();
     let tried = |factors: &[usize]| fit_positions(&pairs, &rotation, along, factors);
