@@ -233,7 +233,10 @@ fn latency(
     /// Another lag with a smaller ratio to the best fits equally well.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
     let as_logged = found.solution.as_ref().map_err(Clone::clone)?;
-    let best = found.alternative.as_ref().map_or(as_logged, |(_, solution)| solution);
+    let (encoding, best) = match &found.alternative {
+        Some((encoding, solution)) => (*encoding, solution),
+        None => (TargetEncoding::AsLogged, as_logged),
+    };
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
         let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
@@ -242,8 +245,6 @@ fn latency(
     if !best.offset_s.std_error.is_finite() {
         return Err(NotObservable::AtRest);
     }
-    let encoding =
-        found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(encoding, _)| *encoding);
     let min_separation_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
     let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > min_separation_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
