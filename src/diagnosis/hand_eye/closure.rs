@@ -3,7 +3,7 @@
 use super::fit::HandEyeFit;
 use super::series::HandEyeSetting;
 use super::{ClosureError, MIN_POSES};
-use crate::residuals::excess::{excess_square, mean_of, rms};
+use crate::residuals::excess::{excess_square, mean_of, rms, square_root};
 use ground::geometry::Vec3;
 use ground::stats::{Measured, median};
 
@@ -49,9 +49,5 @@ fn excess(vectors: &[Vec3]) -> Measured {
     if beyond.len() < 2 {
         return Measured { value: rms(vectors), std_error: f64::INFINITY, dof: 1.0 };
     }
-    let Measured { value: mean, std_error: mean_error, dof } = mean_of(&beyond);
-    let value = mean.max(0.0).sqrt();
-    // d(√x) = dx / 2√x, bounded by √dx near zero.
-    let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt()).max(1e-12)).max(1e-9);
-    Measured { value, std_error, dof }
+    square_root(mean_of(&beyond))
 }

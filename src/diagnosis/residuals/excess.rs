@@ -66,10 +66,7 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
     let noise_free: Vec<f64> = vectors.chunks_exact(size).map(excess_square).collect();
-    let Measured { value: mean, std_error: mean_error, .. } = mean_of(&noise_free);
-    let value = mean.max(0.0).sqrt();
-    // d(√x) = dx / 2√x, limited to √dx near zero.
-    let by_spread = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
+    let Measured { value, std_error: by_spread, .. } = square_root(mean_of(&noise_free));
     let distance = in_common.value / in_common.std_error.max(f64::MIN_POSITIVE);
     Measured {
         value,
@@ -82,6 +79,13 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
 pub(crate) fn excess_square(block: &[Vec3]) -> f64 {
     let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
     rms(block).powi(2) - 0.5 * rms(&steps).powi(2)
+}
+
+/// Root of a mean square. d(√x) = dx / 2√x, limited to √dx near zero.
+pub(crate) fn square_root(Measured { value: square, std_error, dof }: Measured) -> Measured {
+    let value = square.max(0.0).sqrt();
+    let std_error = (std_error / (2.0 * value).max(std_error.sqrt())).max(1e-9);
+    Measured { value, std_error, dof }
 }
 
 /// The standard error is infinite for fewer than two values.
