@@ -2,11 +2,12 @@
 
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::{PoseObservations, State};
+use crate::model::measurement::State;
 use crate::selection::link_deviations::{ErrorsBesideLinks, errors_beside_links};
 use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
 use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::robot::Chain;
 use ground::stats::MeasuredLength;
 use nalgebra::Matrix6;
 
@@ -47,7 +48,7 @@ impl BesideLinks {
             );
             let ErrorsBesideLinks { std_errors, frames: [reference, last_link] } = of_selected;
             if !is_nominal {
-                let tool = last_link.map(|of_link| of_tool(&decoded.observations, &of_link));
+                let tool = last_link.map(|of_link| of_tool(decoded.observations.chain, &of_link));
                 beside.frames.resize(index, [None; 2]);
                 beside.frames.push([reference, tool]);
             }
@@ -106,12 +107,8 @@ impl BesideLinks {
 }
 
 /// Transforms the covariance of a twist from the last joint's link to the tip.
-fn of_tool(observations: &PoseObservations, of_link: &Matrix6<f64>) -> Matrix6<f64> {
-    let q = vec![0.0; observations.columns.len()];
-    let mut links = Vec::new();
-    observations.chain.joint_frames(&q, &mut links);
-    let Some(last) = links.last() else { return *of_link };
-    let link_from_tip = last.inv_mul(&observations.chain.forward(&q));
+fn of_tool(chain: &Chain, of_link: &Matrix6<f64>) -> Matrix6<f64> {
+    let link_from_tip = chain.last_from_tip();
     let turn = link_from_tip.rotation.inverse().to_rotation_matrix();
     let lever = link_from_tip.translation.vector.cross_matrix();
     let mut by_link = Matrix6::zeros();

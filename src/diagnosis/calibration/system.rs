@@ -340,20 +340,14 @@ impl CalibrationSystem<'_> {
                 *reference *= pose_of_twist(&twist(&own.reference));
             }
             if !own.tool.is_empty() {
-                let tip = self.last_from_tip(s);
+                let stream = self.sources[s].stream;
+                let chain = self.robot.chain(stream.base, stream.tip);
+                let tip = chain.map_or_else(|_| Pose::identity(), |chain| chain.last_from_tip());
                 *tool = tip.inverse() * pose_of_twist(&twist(&own.tool)) * tip * *tool;
             }
             if let Some(latency) = own.latency {
                 *latency_s += step[latency];
             }
         }
-    }
-
-    fn last_from_tip(&self, s: usize) -> Pose {
-        let stream = self.sources[s].stream;
-        let Ok(chain) = self.robot.chain(stream.base, stream.tip) else { return Pose::identity() };
-        let (q, mut frames) = (vec![0.0; chain.dof()], Vec::new());
-        chain.joint_frames(&q, &mut frames);
-        frames.last().map_or_else(Pose::identity, |last| last.inv_mul(&chain.forward(&q)))
     }
 }

@@ -159,7 +159,7 @@ pub(crate) fn twist_of(pose: &Pose) -> [f64; 6] {
     stacked([pose.translation.vector, rotvec_from_rotation(&pose.rotation)])
 }
 
-fn stacked([linear, angular]: [Vec3; 2]) -> [f64; 6] {
+pub(crate) fn stacked([linear, angular]: [Vec3; 2]) -> [f64; 6] {
     [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
 }
 

@@ -5,7 +5,7 @@
 //! prior.
 
 use crate::model::jacobian::{Derivative, PoseJacobian, pose_change};
-use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
@@ -314,15 +314,11 @@ impl<'a> CauseColumns<'a> {
 
 /// Change of the tool, a twist, that equals a small motion of the last joint.
 fn zero_as_tool(chain: &Chain, axes: &[Vec3]) -> [f64; 6] {
-    let zeros = vec![0.0; chain.dof()];
-    let mut frames = Vec::new();
-    chain.joint_frames(&zeros, &mut frames);
-    let (Some(last), Some(axis)) = (frames.last(), axes.last()) else { return [0.0; 6] };
-    let last_from_tip = last.inv_mul(&chain.forward(&zeros));
+    let Some(axis) = axes.last() else { return [0.0; 6] };
+    let last_from_tip = chain.last_from_tip();
     let in_tip = |vector: Vec3| last_from_tip.rotation.inverse() * vector;
-    let [shift, turn] = match chain.joint_kinds().last() {
+    stacked(match chain.joint_kinds().last() {
         Some(JointKind::Prismatic) => [in_tip(*axis), Vec3::zeros()],
         _ => [in_tip(axis.cross(&last_from_tip.translation.vector)), in_tip(*axis)],
-    };
-    [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]
+    })
 }

@@ -312,6 +312,13 @@ impl Chain {
         self.steps.first().map_or_else(Pose::identity, first)
     }
 
+    /// `link_from_tip` of the last coordinate's child link. The identity if the chain has no coordinates.
+    pub fn last_from_tip(&self) -> Pose {
+        let (q, mut frames) = (vec![0.0; self.dof()], Vec::new());
+        self.joint_frames(&q, &mut frames);
+        frames.last().map_or_else(Pose::identity, |last| last.inv_mul(&self.forward(&q)))
+    }
+
     /// Computes `base_from_link` of the child link of each coordinate's joint, or of its first mimic joint
     /// on the path.
     ///
