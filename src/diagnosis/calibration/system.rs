@@ -2,9 +2,7 @@
 
 use super::parameters::CalibrationParameters;
 use super::{CalibrationStream, FrameFreedom, PointDistance};
-use crate::model::measurement::{
-    ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist,
-};
+use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, pose_of_twist};
 use crate::samples::sampling::range_of;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
@@ -76,24 +74,20 @@ impl<'a> StreamSource<'a> {
 
     pub(super) fn observations<'b>(&'b self, chain: &'b Chain) -> PoseObservations<'b> {
         let stream = self.stream;
-        let ends = stream.t_s.first().zip(stream.t_s.last());
         PoseObservations {
-            joints: stream.joints,
-            chain,
-            columns: &stream.columns,
-            gains: &[],
             reference_known: stream.reference_freedom == FrameFreedom::Known,
-            rest_speeds: &self.rest_speeds,
-            t_s: stream.t_s.clone(),
-            xyz: stream.poses.iter().map(|pose| pose.translation.vector).collect(),
-            rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
             excluded: ExcludedComponents {
                 position: stream.excluded,
                 rotation: stream.is_rotation_excluded,
             },
-            tool_part: ToolPart::Whole,
-            middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
-            moving_frame: None,
+            ..PoseObservations::new(
+                stream.joints,
+                chain,
+                &stream.columns,
+                &self.rest_speeds,
+                &stream.t_s,
+                &stream.poses,
+            )
         }
     }
 }

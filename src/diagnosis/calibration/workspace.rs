@@ -2,10 +2,10 @@
 
 use super::FkUncertainty;
 use super::system::{CalibrationState, CalibrationSystem};
-use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
+use crate::model::measurement::{PoseObservations, StreamState};
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::Linear;
-use ground::geometry::{Rotation, Vec3};
+use ground::geometry::Pose;
 use ground::robot::{Chain, JointKind, Limits};
 use ground::stream::JointTrack;
 use nalgebra::{DMatrix, DVector};
@@ -74,21 +74,9 @@ impl TipSensitivity {
 pub(crate) fn tip_derivatives(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
-    let observations = PoseObservations {
-        joints: motion,
-        chain,
-        columns: &columns,
-        gains: &[],
-        reference_known: true,
-        rest_speeds: &still,
-        t_s: motion.t_s.clone(),
-        xyz: vec![Vec3::zeros(); motion.len()],
-        rotation: vec![Rotation::identity(); motion.len()],
-        excluded: ExcludedComponents::default(),
-        tool_part: ToolPart::Whole,
-        middle_s: 0.0,
-        moving_frame: None,
-    };
+    // Observed poses affect only the residuals.
+    let poses = vec![Pose::identity(); motion.len()];
+    let observations = PoseObservations::new(motion, chain, &columns, &still, &motion.t_s, &poses);
     let state = StreamState::at_latency(0.0);
     link_frames(&observations, &state, &still, 0..motion.len(), FreeAlongside::Zeros)
 }

@@ -279,6 +279,35 @@ pub(crate) struct LinearPrediction<'a> {
     pub qd: &'a [f64],
 }
 
+impl<'a> PoseObservations<'a> {
+    /// Whole poses in a known reference that does not move in the base.
+    pub fn new(
+        joints: &'a JointTrack,
+        chain: &'a Chain,
+        columns: &'a [usize],
+        rest_speeds: &'a [f64],
+        t_s: &[f64],
+        poses: &[Pose],
+    ) -> Self {
+        let ends = t_s.first().zip(t_s.last());
+        Self {
+            joints,
+            chain,
+            columns,
+            gains: &[],
+            reference_known: true,
+            rest_speeds,
+            t_s: t_s.to_vec(),
+            xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
+            rotation: poses.iter().map(|pose| pose.rotation).collect(),
+            excluded: ExcludedComponents::default(),
+            tool_part: ToolPart::Whole,
+            middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
+            moving_frame: None,
+        }
+    }
+}
+
 impl PoseObservations<'_> {
     /// Number of samples.
     pub fn len(&self) -> usize {

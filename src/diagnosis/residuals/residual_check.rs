@@ -8,9 +8,7 @@
 
 use crate::latency::correlation::median_period_s;
 use crate::model::jacobian::pose_change;
-use crate::model::measurement::{
-    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
-};
+use crate::model::measurement::{PoseObservations, PredictionBuffers, StreamState};
 use crate::model::observability::travel;
 use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
@@ -171,25 +169,14 @@ fn residual_with_calibration(
     at_rest: bool,
 ) -> Option<FkError> {
     let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &diagnosis.aligned;
-    let (first, last) = (t_s.first()?, t_s.last()?);
     if at_rest || t_s.len() < MIN_SAMPLES {
         return None;
     }
     let still = rest_speeds(corrected_joints);
+    let PoseStream { chain, columns, moving_frame, .. } = *stream;
     let observations = PoseObservations {
-        joints: corrected_joints,
-        chain: stream.chain,
-        columns: stream.columns,
-        gains: &[],
-        reference_known: true,
-        rest_speeds: &still,
-        t_s: t_s.clone(),
-        xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
-        rotation: corrected.iter().map(|pose| pose.rotation).collect(),
-        excluded: ExcludedComponents::default(),
-        tool_part: ToolPart::Whole,
-        middle_s: 0.5 * (first + last),
-        moving_frame: stream.moving_frame,
+        moving_frame,
+        ..PoseObservations::new(corrected_joints, chain, columns, &still, t_s, corrected)
     };
     let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
     let plain = StreamState {
