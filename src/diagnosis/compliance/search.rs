@@ -171,7 +171,7 @@ impl<'a> ComplianceSearch<'a> {
         self.samples.iter().zip(&self.torques).map(of_stream).collect()
     }
 
-    fn system(&self, terms: &[ComplianceTerm]) -> ComplianceSystem<'_> {
+    fn system(&self, terms: &[ComplianceTerm]) -> ComplianceSystem {
         let profiles = self.profiles(terms);
         let columns = terms.iter().flat_map(|term| vec![term.column; term.width()]);
         let coefficient = |(at, column): (usize, usize)| {

@@ -3,8 +3,7 @@
 use super::StreamSamples;
 use crate::priors::ZERO_PRIOR;
 use crate::residuals::cause_columns::{VariableColumns, ZEROS};
-use crate::solver::linear::{Linear, Normal, Weight};
-use crate::solver::robust::sandwich;
+use crate::solver::linear::{Normal, SharedEquations, StreamEquations};
 use nalgebra::{DMatrix, DVector};
 
 /// Coefficient of a term: its joint, and its profile by stream and sample.
@@ -14,23 +13,21 @@ pub(super) struct Coefficient {
 }
 
 /// Parameters are the coefficients, then the constant causes of each stream.
-pub(super) struct ComplianceSystem<'a> {
-    samples: &'a [StreamSamples<'a>],
+pub(super) struct ComplianceSystem {
     coefficients: usize,
-    linears: Vec<Linear>,
-    weights: Vec<Vec<Weight>>,
-    /// Parameter of each column of a stream.
-    parameters: Vec<Vec<usize>>,
+    equations: SharedEquations,
     normal: Normal,
     /// Equations of the coefficients, with the best constant causes.
     profiled: Normal,
 }
 
-impl<'a> ComplianceSystem<'a> {
-    pub fn new(samples: &'a [StreamSamples<'a>], coefficients: &[Coefficient]) -> Self {
+impl ComplianceSystem {
+    pub fn new(samples: &[StreamSamples], coefficients: &[Coefficient]) -> Self {
+        let constant: usize = samples.iter().map(|stream| stream.columns.constant()).sum();
         let mut width = coefficients.len();
-        let (mut linears, mut parameters) = (Vec::new(), Vec::new());
-        for (s, stream) in samples.iter().enumerate() {
+        let mut prior = DMatrix::<f64>::zeros(width + constant, width + constant);
+        (0..width).for_each(|at| prior[(at, at)] = ZERO_PRIOR.powi(-2));
+        let of_stream = |(s, stream): (usize, &StreamSamples)| {
             let (mut seen, mut variable) = (Vec::new(), Vec::new());
             for (parameter, Coefficient { column, profiles }) in coefficients.iter().enumerate() {
                 if let Some(joint) = stream.joint(*column) {
@@ -40,53 +37,22 @@ impl<'a> ComplianceSystem<'a> {
                     variable.push(VariableColumns { columns, factors, along: None });
                 }
             }
-            let constant = stream.columns.constant();
-            parameters.push((width..width + constant).chain(seen).collect::<Vec<usize>>());
-            width += constant;
-            linears.push(stream.columns.linearize(&variable));
-        }
-        let weights = linears.iter().map(Linear::first_weights).collect();
-        let (normal, profiled) = (Normal::zeros(width), Normal::zeros(coefficients.len()));
-        let coefficients = coefficients.len();
-        let mut system =
-            Self { samples, coefficients, linears, weights, parameters, normal, profiled };
-        system.sum();
+            let (first, own) = (width, stream.columns.constant());
+            width += own;
+            prior.view_mut((first, first), (own, own)).copy_from(&stream.columns.prior());
+            let linear = stream.columns.linearize(&variable);
+            let parameters = (first..width).chain(seen).collect();
+            StreamEquations { weights: linear.first_weights(), linear, parameters }
+        };
+        let streams = samples.iter().enumerate().map(of_stream).collect();
+        let mut equations = SharedEquations { streams, prior };
+        let mut normal = equations.normal();
         for _ in 0..2 {
-            let step = system.normal.full_step();
-            let own = |parameters: &[usize]| parameters.iter().map(|&p| step[p]).collect();
-            let own: Vec<Vec<f64>> = system.parameters.iter().map(|it| own(it)).collect();
-            let weights = system.linears.iter().zip(own);
-            system.weights = weights.map(|(linear, step)| linear.weights_after(&step)).collect();
-            system.sum();
+            equations.update_weights(&normal.full_step());
+            normal = equations.normal();
         }
-        system
-    }
-
-    fn sum(&mut self) {
-        self.normal = Normal::zeros(self.normal.right.len());
-        for ((linear, weights), parameters) in
-            self.linears.iter().zip(&self.weights).zip(&self.parameters)
-        {
-            linear.accumulate(weights, parameters, &mut self.normal);
-        }
-        self.normal.matrix += self.prior();
-        self.profiled = self.normal.profiled(self.coefficients);
-    }
-
-    /// Precision of the prior.
-    fn prior(&self) -> DMatrix<f64> {
-        let width = self.normal.right.len();
-        let mut prior = DMatrix::zeros(width, width);
-        for coefficient in 0..self.coefficients {
-            prior[(coefficient, coefficient)] = ZERO_PRIOR.powi(-2);
-        }
-        let mut start = self.coefficients;
-        for stream in self.samples {
-            let own = stream.columns.constant();
-            prior.view_mut((start, start), (own, own)).copy_from(&stream.columns.prior());
-            start += own;
-        }
-        prior
+        let coefficients = coefficients.len();
+        Self { profiled: normal.profiled(coefficients), coefficients, equations, normal }
     }
 
     pub fn independent(&self) -> f64 {
@@ -111,26 +77,17 @@ impl<'a> ComplianceSystem<'a> {
 
     /// `Σ n·ln σ`.
     pub fn noise(&self) -> f64 {
-        let of_stream = |(linear, weights): (&Linear, &Vec<Weight>)| {
+        let of_stream = |StreamEquations { linear, weights, .. }: &StreamEquations| {
             let log = weights.iter().map(|weight| weight.noise.sigma.ln()).sum::<f64>();
             linear.len() as f64 * log
         };
-        self.linears.iter().zip(&self.weights).map(of_stream).sum()
+        self.equations.streams.iter().map(of_stream).sum()
     }
 
     /// Best values of all coefficients, and their covariance.
     pub fn estimate(&self) -> (DVector<f64>, DMatrix<f64>) {
-        let values = self.profiled.full_step();
-        // The prior is as good as samples.
-        let mut information = self.prior();
-        let mut scores = information.clone();
-        for ((linear, weights), parameters) in
-            self.linears.iter().zip(&self.weights).zip(&self.parameters)
-        {
-            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
-            linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
-        }
-        let covariance = sandwich(&information, &scores);
-        (values, covariance.view((0, 0), (self.coefficients, self.coefficients)).into_owned())
+        let covariance = self.equations.covariance();
+        let own = covariance.view((0, 0), (self.coefficients, self.coefficients)).into_owned();
+        (self.profiled.full_step(), own)
     }
 }

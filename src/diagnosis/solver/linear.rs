@@ -1,7 +1,7 @@
 //! Linear least squares under correlated noise.
 
 use super::noise::Noise;
-use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma};
+use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma, sandwich};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
@@ -489,6 +489,51 @@ impl Normal {
         let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];
         let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
         (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
+    }
+}
+
+/// Stream whose columns are some of the parameters.
+pub(crate) struct StreamEquations {
+    pub linear: Linear,
+    pub weights: Vec<Weight>,
+    /// Parameter of each column.
+    pub parameters: Vec<usize>,
+}
+
+/// Equations of several streams with shared parameters, which have a prior.
+pub(crate) struct SharedEquations {
+    pub streams: Vec<StreamEquations>,
+    /// Precision of the prior.
+    pub prior: DMatrix<f64>,
+}
+
+impl SharedEquations {
+    pub fn normal(&self) -> Normal {
+        let mut normal = Normal::zeros(self.prior.nrows());
+        for StreamEquations { linear, weights, parameters } in &self.streams {
+            linear.accumulate(weights, parameters, &mut normal);
+        }
+        normal.matrix += &self.prior;
+        normal
+    }
+
+    /// Sets the weights from the residuals after a step.
+    pub fn update_weights(&mut self, step: &DVector<f64>) {
+        for StreamEquations { linear, weights, parameters } in &mut self.streams {
+            let own: Vec<f64> = parameters.iter().map(|&parameter| step[parameter]).collect();
+            *weights = linear.weights_after(&own);
+        }
+    }
+
+    /// Covariance of all parameters.
+    pub fn covariance(&self) -> DMatrix<f64> {
+        // The prior is as good as samples.
+        let (mut information, mut scores) = (self.prior.clone(), self.prior.clone());
+        for StreamEquations { linear, weights, parameters } in &self.streams {
+            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
+            linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
+        }
+        sandwich(&information, &scores)
     }
 }
 
