@@ -25,8 +25,7 @@ use crate::residuals::cause_columns::{
 };
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::likeliest;
-use crate::solver::linear::{Linear, Normal, Weight};
-use crate::solver::robust::sandwich;
+use crate::solver::linear::{Linear, SharedEquations, StreamEquations, Weight};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, PoseDiagnosis,
     PoseStream,
@@ -355,16 +354,9 @@ struct Fit {
 /// Equations of several changes and the constant causes of all streams. The constant causes of each stream
 /// come first, then the changes.
 struct Equations {
-    streams: Vec<StreamEquations>,
+    shared: SharedEquations,
     /// Parameters of each change: of its amount, then of its profile.
     changes: Vec<Range<usize>>,
-    prior: DMatrix<f64>,
-}
-
-struct StreamEquations {
-    linear: Linear,
-    weights: Vec<Weight>,
-    parameters: Vec<usize>,
 }
 
 impl Equations {
@@ -398,18 +390,12 @@ impl Equations {
             StreamEquations { linear, weights, parameters }
         };
         let streams = streams.iter().enumerate().map(equations).collect();
-        Self { streams, changes: of_changes, prior }
+        Self { shared: SharedEquations { streams, prior }, changes: of_changes }
     }
 
     /// Covariance of each change: of half of its amount, then of its profile.
     fn covariances(&self) -> Vec<DMatrix<f64>> {
-        // The prior is as good as samples.
-        let (mut information, mut scores) = (self.prior.clone(), self.prior.clone());
-        for StreamEquations { linear, weights, parameters } in &self.streams {
-            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
-            linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
-        }
-        let covariance = sandwich(&information, &scores);
+        let covariance = self.shared.covariance();
         let own = |parameters: &Range<usize>| {
             let (start, len) = (parameters.start, parameters.len());
             covariance.view((start, start), (len, len)).into_owned()
@@ -417,17 +403,8 @@ impl Equations {
         self.changes.iter().map(own).collect()
     }
 
-    fn normal(&self) -> Normal {
-        let mut normal = Normal::zeros(self.prior.nrows());
-        for StreamEquations { linear, weights, parameters } in &self.streams {
-            linear.accumulate(weights, parameters, &mut normal);
-        }
-        normal.matrix += &self.prior;
-        normal
-    }
-
     fn fit(&self, streams: &[Stream], changes: &[Change]) -> Fit {
-        let step = self.normal().full_step();
+        let step = self.shared.normal().full_step();
         let of_change = |(own, change): (&Range<usize>, &Change)| {
             let (half, profile) = step.as_slice()[own.clone()].split_at(change.columns.len());
             (DVector::from_column_slice(half), profile.to_vec())
@@ -447,15 +424,16 @@ impl Equations {
 
     /// Degrees of freedom of the residuals.
     fn dof(&self) -> f64 {
-        (self.normal().independent - self.prior.nrows() as f64).max(3.0)
+        let normal = self.shared.normal();
+        (normal.independent - normal.right.len() as f64).max(3.0)
     }
 
     /// The change whose removal adds the least cost.
     fn least_needed(&self, changes: &[Change]) -> Option<usize> {
-        let normal = self.normal();
+        let normal = self.shared.normal();
         let cost_without = |at: &usize| {
             let own = &self.changes[*at];
-            let mut values = DVector::zeros(self.prior.nrows());
+            let mut values = DVector::zeros(normal.right.len());
             let half = &changes[*at].half;
             values.rows_mut(own.start, half.len()).copy_from(half);
             let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
@@ -467,7 +445,7 @@ impl Equations {
 
     /// Twice the log likelihood, minus the price of the changes.
     fn score(&self, changes: &[Change]) -> f64 {
-        let normal = self.normal();
+        let normal = self.shared.normal();
         let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
         let of_profiles = changes.iter().map(|change| change.profile.parameters()).sum::<usize>();
         let price = price(normal.independent) * (parameters + of_profiles) as f64;
@@ -610,7 +588,7 @@ impl Fitted {
             sigma_m += m.hypot(LEVER_M * rad);
             weights
         };
-        let weights = steady.iter().zip(&equations.streams).map(weights).collect();
+        let weights = steady.iter().zip(&equations.shared.streams).map(weights).collect();
         Self { candidate, weights, sigma_m }
     }
 }
@@ -634,7 +612,7 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
         let next = |(stream, equations): (&Stream, &StreamEquations)| {
             stream.next_change(&current.changes, &equations.linear, kind)
         };
-        let next = steady.iter().zip(&equations.streams).filter_map(next);
+        let next = steady.iter().zip(&equations.shared.streams).filter_map(next);
         let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
