@@ -121,64 +121,52 @@ impl<'a> ComplianceSearch<'a> {
         columns.filter(|column| self.run.is_rotary(*column)).flat_map(of_joint).collect()
     }
 
-    /// Indexed by stream, sample and coefficient.
-    fn profiles(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
-        let joints = self.run.joints;
-        let behind: Vec<Vec<f64>> = terms
-            .iter()
-            .map(|term| match term.kind {
-                ComplianceKind::Backlash(crossing) => {
-                    let width = match term.amount[0].abs() {
-                        0.0 => INITIAL_BACKLASH_RAD,
-                        width => width,
-                    };
-                    let q = |row: usize| joints.q[row * joints.dof + term.column];
-                    crossing.link_offsets(joints.len(), q, width)
-                }
-                _ => Vec::new(),
-            })
-            .collect();
-        let of_stream = |(samples, torques): (&StreamSamples, &Vec<Vec<f64>>)| {
-            let of_sample = |k: usize| {
-                let mut values = Vec::new();
-                for (term, behind) in terms.iter().zip(&behind) {
-                    let q = samples.q[k][term.column];
-                    let share = torques[k][term.column] / self.max_torque[term.column];
-                    match term.kind {
-                        ComplianceKind::Backlash(_) => {
-                            let (row, part) = samples.at[k];
-                            let next = (row + 1).min(behind.len() - 1);
-                            values.push(behind[row] * (1.0 - part) + behind[next] * part);
-                        }
-                        ComplianceKind::Sag => values.push(share),
-                        ComplianceKind::LoadedSag(from_s) => {
-                            let is_before = joints.t_s[samples.at[k].0] < from_s;
-                            values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
-                        }
-                        ComplianceKind::Eccentric(order) => {
-                            let (sin, cos) = (f64::from(order) * q).sin_cos();
-                            values.extend([sin, cos]);
-                        }
-                        ComplianceKind::Delay => {
-                            values.push(samples.qd[k][term.column] / self.max_speed[term.column]);
-                        }
-                    }
-                }
-                values
-            };
-            (0..samples.q.len()).map(of_sample).collect()
+    /// Coefficients of a term, with their profiles.
+    fn coefficients_of(&self, term: &ComplianceTerm) -> Vec<Coefficient> {
+        let (joints, column) = (self.run.joints, term.column);
+        let behind = match term.kind {
+            ComplianceKind::Backlash(crossing) => {
+                let width = match term.amount[0].abs() {
+                    0.0 => INITIAL_BACKLASH_RAD,
+                    width => width,
+                };
+                let q = |row: usize| joints.q[row * joints.dof + column];
+                crossing.link_offsets(joints.len(), q, width)
+            }
+            _ => Vec::new(),
         };
-        self.samples.iter().zip(&self.torques).map(of_stream).collect()
+        let values = |samples: &StreamSamples, torques: &[Vec<f64>], k: usize| -> [f64; 2] {
+            let share = torques[k][column] / self.max_torque[column];
+            match term.kind {
+                ComplianceKind::Backlash(_) => {
+                    let (row, part) = samples.at[k];
+                    let next = (row + 1).min(behind.len() - 1);
+                    [behind[row] * (1.0 - part) + behind[next] * part, 0.0]
+                }
+                ComplianceKind::Sag => [share, 0.0],
+                ComplianceKind::LoadedSag(from_s) => {
+                    let is_before = joints.t_s[samples.at[k].0] < from_s;
+                    if is_before { [share, 0.0] } else { [0.0, share] }
+                }
+                ComplianceKind::Eccentric(order) => {
+                    (f64::from(order) * samples.q[k][column]).sin_cos().into()
+                }
+                ComplianceKind::Delay => [samples.qd[k][column] / self.max_speed[column], 0.0],
+            }
+        };
+        let coefficient = |at: usize| {
+            let of_stream = |(samples, torques): (&StreamSamples, &Vec<Vec<f64>>)| {
+                (0..samples.q.len()).map(|k| values(samples, torques, k)[at]).collect()
+            };
+            let profiles = self.samples.iter().zip(&self.torques).map(of_stream).collect();
+            Coefficient { column, profiles }
+        };
+        (0..term.width()).map(coefficient).collect()
     }
 
     fn system(&self, terms: &[ComplianceTerm]) -> ComplianceSystem {
-        let profiles = self.profiles(terms);
-        let columns = terms.iter().flat_map(|term| vec![term.column; term.width()]);
-        let coefficient = |(at, column): (usize, usize)| {
-            let of_stream = |samples: &Vec<Vec<f64>>| samples.iter().map(|all| all[at]).collect();
-            Coefficient { column, profiles: profiles.iter().map(of_stream).collect() }
-        };
-        let coefficients: Vec<Coefficient> = columns.enumerate().map(coefficient).collect();
+        let coefficients: Vec<Coefficient> =
+            terms.iter().flat_map(|term| self.coefficients_of(term)).collect();
         ComplianceSystem::new(self.samples, &coefficients)
     }
 
