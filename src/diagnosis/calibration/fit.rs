@@ -162,8 +162,7 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
     ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
         let own = self.own_parameters();
-        let none = DVector::zeros(self.parameters.width);
-        let fitted = |normal: &Normal| normal.step(&none, &own);
+        let fitted = |normal: &Normal| normal.step_from_zero(&own);
         let all_free = fitted(&self.sample_normal(linearized));
         let folds = self.cross_validated(linearized, state, fitted);
         let residual = |(source, stream): (&StreamSource, &LinearizedStream)| {
@@ -179,9 +178,9 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
         link_m: f64,
     ) -> Vec<CalibrationResidual> {
-        let none = || DVector::zeros(self.parameters.width);
-        let of = |training: &Normal| {
-            self.step(training, state, link_m).map_or_else(none, |(step, _)| step)
+        let of = |training: &Normal| match self.step(training, state, link_m) {
+            Some((step, _)) => step,
+            None => DVector::zeros(self.parameters.width),
         };
         self.cross_validated(linearized, state, of)
     }
@@ -195,7 +194,6 @@ impl CalibrationSystem<'_> {
         step: impl Fn(&Normal) -> DVector<f64>,
     ) -> Vec<CalibrationResidual> {
         let all_data = self.normal(linearized, state);
-        let none = DVector::zeros(self.parameters.width);
         let (folds, by_group) = self.folds();
         let mut all: Vec<Vec<_>> = linearized.iter().map(|_| Vec::new()).collect();
         for fold in 0..folds {
@@ -209,7 +207,7 @@ impl CalibrationSystem<'_> {
                 let unseen = self.parameters_only_in(&held_out_parts, linearized);
                 unseen.iter().for_each(|&parameter| step[parameter] = 0.0);
                 held_out.right -= &held_out.matrix * &step;
-                step += held_out.step(&none, &unseen);
+                step += held_out.step_from_zero(&unseen);
             }
             for ((all, part), source) in all.iter_mut().zip(&held_out_parts).zip(self.sources) {
                 all.push(part.linear.residuals_after((&source.columns * &step).as_slice()));
@@ -248,8 +246,7 @@ impl CalibrationSystem<'_> {
         });
         let mut linearized = self.linearize(state, None)?;
         for _ in (0..START_ROUNDS).filter(|_| has_positions) {
-            let none = DVector::zeros(self.parameters.width);
-            let step = self.sample_normal(&linearized).step(&none, &self.own_parameters());
+            let step = self.sample_normal(&linearized).step_from_zero(&self.own_parameters());
             self.advance(state, &step);
             linearized = self.linearize(state, Some(0.0))?;
         }

@@ -66,13 +66,12 @@ impl ComplianceSystem {
 
     /// Cost with the best values of these coefficients.
     pub fn cost(&self, coefficients: &[usize]) -> f64 {
-        let step = self.profiled.step(&DVector::zeros(self.coefficients), coefficients);
-        self.profiled.cost_after(&step)
+        self.profiled.cost_after(&self.profiled.step_from_zero(coefficients))
     }
 
     /// Best value of a coefficient alone.
     pub fn best_value(&self, coefficient: usize) -> f64 {
-        self.profiled.step(&DVector::zeros(self.coefficients), &[coefficient])[coefficient]
+        self.profiled.step_from_zero(&[coefficient])[coefficient]
     }
 
     /// `Σ n·ln σ`.

@@ -444,10 +444,14 @@ impl Normal {
         step
     }
 
-    /// Step from zero that minimises the cost over all parameters.
+    /// Step from zero that minimises the cost over `free`.
+    pub fn step_from_zero(&self, free: &[usize]) -> DVector<f64> {
+        self.step(&DVector::zeros(self.right.len()), free)
+    }
+
+    /// The same over all parameters.
     pub fn full_step(&self) -> DVector<f64> {
-        let width = self.right.len();
-        self.step(&DVector::zeros(width), &Vec::from_iter(0..width))
+        self.step_from_zero(&Vec::from_iter(0..self.right.len()))
     }
 
     /// Cost after a step.
