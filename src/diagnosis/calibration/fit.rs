@@ -11,6 +11,7 @@ use super::{
 use crate::Measured;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::solver::linear::Normal;
+use ground::geometry::Vec3;
 use ground::robot::{LinkPath, Robot};
 use nalgebra::{DMatrix, DVector};
 
@@ -91,10 +92,11 @@ pub fn calibrate_arm(
     let shared = parameters.shared();
     let reports = (0..sources.len()).map(|s| {
         let own = &parameters.streams[s];
+        let LinearizedStream { linear, weights } = &linearized[s];
         let (latency_s, reference, tool) = state.streams[s];
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
-            samples: linearized[s].linear.len(),
+            samples: linear.len(),
             latency_s: own.latency.map(|at| Measured {
                 value: latency_s,
                 std_error: std_error(at),
@@ -103,13 +105,13 @@ pub fn calibrate_arm(
             reference: (!own.reference.is_empty()).then_some(reference),
             tool: (!own.tool.is_empty()).then_some(tool),
             before: before[s].0,
-            after: rms_residual(std::slice::from_ref(&linearized[s].linear.residual)),
+            after: rms_residual(std::slice::from_ref(&linear.residual)),
             held_out_before: before[s].1,
             held_out_after: held_out[s],
-            noise: [0, 1].map(|kind| linearized[s].weights[kind].noise.sigma),
-            inflation: [0, 1].map(|kind| linearized[s].weights[kind].noise.inflation()),
+            noise: [0, 1].map(|kind| weights[kind].noise.sigma),
+            inflation: [0, 1].map(|kind| weights[kind].noise.inflation()),
             spans: sources[s].spans(),
-            errors_m: linearized[s].linear.residual[0].iter().map(|r| norm(*r)).collect(),
+            errors_m: linear.residual[0].iter().map(|error| Vec3::from(*error).norm()).collect(),
         }
     });
     let reports = reports.collect();
@@ -138,10 +140,6 @@ pub fn calibrate_arm(
 /// Degrees of freedom of the fit per independent residual.
 fn fitted_share(covariance: &DMatrix<f64>, normal: &Normal) -> f64 {
     ((covariance * &normal.matrix).trace() / normal.independent.max(1.0)).clamp(0.0, 0.9)
-}
-
-fn norm(residual: [f64; 3]) -> f64 {
-    residual.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
 /// Residual by kind over pieces of a stream.
