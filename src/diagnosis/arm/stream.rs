@@ -1,7 +1,7 @@
 //! Diagnosis of one stream from a fit.
 
 use super::align::{align, fk_at_latency};
-use super::confounders::measured;
+use super::confounders::{are_collinear, measured};
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::encodings::position::PositionEncodingEstimate;
@@ -14,7 +14,7 @@ use crate::model::measurement::StreamState;
 use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, range_of, rest_speeds};
-use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::selection::model_selection::{Cause, SelectedModel};
 use crate::selection::nominal_model::{Timing, is_unsteady_beside_links};
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
@@ -331,7 +331,7 @@ fn joint_speed(joints: &JointTrack, rest_speeds: &[f64], t_s: f64) -> f64 {
 /// Whether another error would compensate this one. At rest, only their sum is observable.
 fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
     let ArmFit { model, candidates, .. } = fitted;
-    let (state, stream_state) = (&model.state, &model.state.streams[index]);
+    let stream_state = &model.state.streams[index];
     let is_round = match cause {
         Cause::Reference(_) => stream_state.round_reference.is_some(),
         Cause::Tool(_) => stream_state.round_tool.is_some(),
@@ -342,14 +342,9 @@ fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
         return false;
     }
     let nearby_causes = [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
-    let makes_up = |other: &Cause| {
-        let mut both: Vec<usize> = cause.parameters(state).chain(other.parameters(state)).collect();
-        both.sort_unstable();
-        *other != cause
-            && candidates.optional.contains(other)
-            && model.linear.normal.separation(&[], &both) < MIN_CAUSE_SEPARATION
-    };
-    nearby_causes.iter().any(makes_up)
+    nearby_causes.iter().any(|&other| {
+        other != cause && candidates.optional.contains(&other) && are_collinear(model, cause, other)
+    })
 }
 
 /// Lags that match FK equally well in repetitive motion, if any.
