@@ -4,17 +4,16 @@ use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedMod
 use crate::{Confounder, EstimateResult, Measured, NotObservable};
 use nalgebra::DVector;
 
-/// Parameter `which` of `cause` if `causes` and the always-free causes are free.
+/// First parameter of `cause` if `causes` and the always-free causes are free.
 pub(super) fn measured(
     fitted: &ArmFit,
     causes: &[Cause],
     cause: Cause,
-    which: usize,
 ) -> EstimateResult<Measured> {
     let ArmFit { model, candidates, .. } = fitted;
     let state = &model.state;
     let parameters = candidates.free_parameters(causes, state);
-    let parameter = cause.parameters(state).start + which;
+    let parameter = cause.parameters(state).start;
     let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
     model.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
 }

@@ -230,7 +230,7 @@ impl StreamFit<'_> {
         } else if is_hidden(self.fitted, cause, self.index) {
             Err(NotObservable::NotExcited)
         } else if self.is_candidate(cause) {
-            measured(self.fitted, &self.causes_with(cause), cause, 0)
+            measured(self.fitted, &self.causes_with(cause), cause)
         } else {
             Err(NotObservable::AtRest)
         }

@@ -56,7 +56,7 @@ pub(super) fn joint_offsets(
             let offset = match deviation_zero {
                 Some(zero) => zero.ok_or(NotObservable::NominalKinematics),
                 None if is_excited => {
-                    measured(fitted, causes, cause, 0).map(|zero| beside_links.widen(cause, zero))
+                    measured(fitted, causes, cause).map(|zero| beside_links.widen(cause, zero))
                 }
                 None => Err(NotObservable::NotExcited),
             };
@@ -144,7 +144,7 @@ pub(super) fn joint_couplings(fitted: &ArmFit, corrected: &CorrectedJoints) -> V
 
 /// Entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
 fn gain(fitted: &ArmFit, corrected: &CorrectedJoints, at: usize) -> Option<Measured> {
-    measured(fitted, &fitted.model.causes, Cause::JointScale(corrected.track.dof + at), 0).ok()
+    measured(fitted, &fitted.model.causes, Cause::JointScale(corrected.track.dof + at)).ok()
 }
 
 /// Largest distance of each joint's axis from the tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton
