@@ -27,9 +27,7 @@ pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
             radians.push(turn.into());
         }
     }
-    [metres, radians].map(|residuals: Vec<[f64; 3]>| {
-        Noise::estimate(&residuals, &vec![1.0; residuals.len()], FLOOR)
-    })
+    [metres, radians].map(|residuals: Vec<[f64; 3]>| Noise::unweighted(&residuals, FLOOR))
 }
 
 /// Accounts for autocorrelation.

@@ -156,7 +156,7 @@ fn difference_of_lags(
     let information =
         Matrix2::new(dot(&by_lag, &by_lag), across, across, dot(&by_latency, &by_latency));
     let residual: Vec<[f64; 3]> = residual.into_iter().map(Into::into).collect();
-    let noise = Noise::estimate(&residual, &vec![1.0; residual.len()], NOISE_FLOOR_M);
+    let noise = Noise::unweighted(&residual, NOISE_FLOOR_M);
     let along = Vector2::new(-1.0, 1.0);
     let variance = along.dot(&(information.try_inverse()? * along));
     let independent = 3.0 * residual.len() as f64 / noise.inflation();

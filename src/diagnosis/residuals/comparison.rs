@@ -81,7 +81,7 @@ pub(crate) fn has_slow_means(residuals: impl IntoIterator<Item = Vec<[f64; 3]>>)
     const MIN_STD_ERRORS: f64 = 6.0;
     let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
         let beside = minus_segment_means(&residuals);
-        let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
+        let noise = Noise::unweighted(&beside, floor);
         segments(&residuals).any(|part| {
             let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
             mean(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())

@@ -143,8 +143,7 @@ fn fold_correlation(
 /// Mean over blocks. Each is at least twice as long as the first series' correlation.
 fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
     let residual_square: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
-    let noise =
-        Noise::estimate(&residual_square, &vec![1.0; residual_square.len()], f64::MIN_POSITIVE);
+    let noise = Noise::unweighted(&residual_square, f64::MIN_POSITIVE);
     let lasting = 2.0 * noise.inflation();
     let blocks = (pairs.len() as f64 / lasting) as usize;
     let blocks = blocks.clamp(*BLOCK_COUNTS.start(), *BLOCK_COUNTS.end());

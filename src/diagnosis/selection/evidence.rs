@@ -56,7 +56,7 @@ fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
     let follows = stream.followed_residual().is_some();
     let [positions, rotations] = residual_vectors(stream);
     let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
-        let mut noise = Noise::estimate(&residuals, &vec![1.0; residuals.len()], 0.0);
+        let mut noise = Noise::unweighted(&residuals, 0.0);
         noise.sigma = if is_explained { noise.sigma.hypot(model_error) } else { SIGMA_UNEXPLAINED };
         (residuals.len(), noise)
     };

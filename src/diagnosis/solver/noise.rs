@@ -26,6 +26,11 @@ impl Noise {
         1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
     }
 
+    /// Estimates the noise of three components per sample, all of weight 1. `sigma` is at least `floor`.
+    pub fn unweighted(residual: &[[f64; 3]], floor: f64) -> Self {
+        Self::estimate(residual, &vec![1.0; residual.len()], floor)
+    }
+
     /// Estimates the noise of three components per sample, with `weights` 0 to 1. `sigma` is at least
     /// `floor`.
     pub fn estimate(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
@@ -165,8 +170,7 @@ mod tests {
     #[test]
     fn a_short_series_of_white_noise_has_no_autocorrelation() {
         let r = series(20_000, 0.0, 0.0);
-        let pieces =
-            r.chunks(200).map(|piece| Noise::estimate(piece, &vec![1.0; piece.len()], 0.0));
+        let pieces = r.chunks(200).map(|piece| Noise::unweighted(piece, 0.0));
         let remembering = pieces.filter(|noise| noise.inflation() > 1.5).count();
         assert!(remembering <= 2, "{remembering} of 100");
     }
@@ -174,7 +178,7 @@ mod tests {
     #[test]
     fn a_small_share_of_long_autocorrelation_is_found() {
         let r = series(20_000, 0.98, 4.0);
-        let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
+        let noise = Noise::unweighted(&r, 0.0);
         let expected = 1.0 + 2.0 / 17.0 * 0.98 / 0.02;
         assert!((noise.inflation() / expected - 1.0).abs() < 0.4, "{noise:?} against {expected}");
     }
@@ -182,7 +186,7 @@ mod tests {
     #[test]
     fn white_noise_has_no_autocorrelation() {
         let r = series(4000, 0.0, 0.0);
-        let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
+        let noise = Noise::unweighted(&r, 0.0);
         assert!((noise.sigma - 1.0).abs() < 0.03);
         assert!(noise.inflation() < 1.3, "{noise:?}");
     }
@@ -191,7 +195,7 @@ mod tests {
     fn chance_correlation_is_no_autocorrelation() {
         for seed in 0..40 {
             let r = seeded(seed, 2000, 0.0, 0.0);
-            let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
+            let noise = Noise::unweighted(&r, 0.0);
             assert!(noise.inflation() < 15.0, "{noise:?}");
         }
     }
@@ -200,7 +204,7 @@ mod tests {
     fn the_autocorrelation_of_coloured_noise_is_estimated() {
         for (rho, white) in [(0.95, 0.0), (0.95, 1.0), (0.6, 0.3)] {
             let r = series(20_000, rho, white);
-            let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
+            let noise = Noise::unweighted(&r, 0.0);
             let share = 1.0 / (1.0 + white * white);
             let expected = 1.0 + 2.0 * share * rho / (1.0 - rho);
             assert!(
