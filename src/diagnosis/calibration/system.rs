@@ -152,7 +152,7 @@ impl CalibrationSystem<'_> {
             }
             let weights = match fitted_share {
                 Some(share) => {
-                    let mut weights = linear.weights_after(&vec![0.0; linear.width]);
+                    let mut weights = linear.weights();
                     weights.iter_mut().for_each(|one| one.noise.sigma /= (1.0 - share).sqrt());
                     weights
                 }

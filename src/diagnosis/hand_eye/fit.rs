@@ -54,8 +54,7 @@ impl HandEyeFit<'_> {
         let distance_m = distances_m.iter().sum::<f64>() / distances_m.len().max(1) as f64;
         let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
             let linear = state.linear(setting, Some(stretched));
-            let first_weights = linear.weights_after(&vec![0.0; linear.width]);
-            let step = linear.normal(&first_weights).full_step();
+            let step = linear.normal(&linear.weights()).full_step();
             let weights = linear.weights_after(step.as_slice());
             let variance = covariance_of(&linear, &weights)[(WIDTH, WIDTH)];
             let independent = 3.0 * linear.len() as f64 / weights[0].noise.inflation();
@@ -246,7 +245,7 @@ fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeS
         let Some((moved, there)) = next else { break };
         state = moved;
         linear = there;
-        weights = linear.weights_after(&[0.0; WIDTH]);
+        weights = linear.weights();
         let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
         if is_small && step[OFFSET_COLUMN].abs() < 1e-8 {
             break;
@@ -269,7 +268,7 @@ fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<H
     if linear.len() < MIN_POSES {
         return None;
     }
-    let weights = linear.weights_after(&[0.0; WIDTH]);
+    let weights = linear.weights();
     let covariance = covariance_of(&linear, &weights);
     let independent: f64 =
         weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();

@@ -639,11 +639,8 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
 impl SelectedModel {
     /// Noise per stream and residual kind (positions, rotations).
     pub fn noise(&self) -> Vec<Noise> {
-        let streams = self.linear.streams.iter();
-        streams
-            .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))
-            .map(|weight| weight.noise)
-            .collect()
+        let weights = self.linear.streams.iter().flat_map(Linear::weights);
+        weights.map(|weight| weight.noise).collect()
     }
 
     /// Whether a model without optional causes leaves small white residuals. Other causes cannot explain more.

@@ -70,9 +70,8 @@ pub(crate) fn is_nominal(
         return false;
     }
     let explained = observations.linearize(&state.streams[stream], &state.offsets, MAX_SAMPLES);
-    let without_change = explained.weights_after(&vec![0.0; explained.width]);
     let saved = price(calibration.samples as f64) * dropped as f64;
-    calibration.gain_over(&without_change) + saved > calibration.price()
+    calibration.gain_over(&explained.weights()) + saved > calibration.price()
 }
 
 /// Whether the unsteady latency `profile` is likelier than a constant one and explains most of the residual, both beside link

@@ -152,6 +152,11 @@ impl Linear {
         self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
     }
 
+    /// Weights from the residuals.
+    pub fn weights(&self) -> Vec<Weight> {
+        self.weights_of(self.residual.clone())
+    }
+
     /// Weights from the residuals after a step.
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
         self.weights_of(self.residuals_after(step))
