@@ -2,7 +2,8 @@
 
 use super::CameraMount;
 use crate::latency::correlation::median_period_s;
-use ground::geometry::{Pose, Vec3, interpolate, pose};
+use crate::samples::sampling::pose_between;
+use ground::geometry::{Pose, Vec3, pose};
 use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -50,19 +51,7 @@ impl PoseSeries {
     /// Interpolates position linearly, rotation along the shortest path. `None` outside the samples and in
     /// gaps longer than both 0.2 s and ten periods.
     pub(crate) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
-        let right = self.t_s.partition_point(|&t| t < t_s);
-        let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
-        if after_s == t_s {
-            return Some(*after);
-        }
-        let previous = right.checked_sub(1)?;
-        let (before_s, before) = (self.t_s[previous], &self.poses[previous]);
-        let length_s = after_s - before_s;
-        if length_s > (10.0 * period_s).max(0.2) {
-            return None;
-        }
-        let fraction = (t_s - before_s) / length_s;
-        Some(interpolate(before, after, fraction))
+        pose_between(&self.t_s, &self.poses, t_s, (10.0 * period_s).max(0.2))
     }
 }
 

@@ -1,8 +1,8 @@
 //! A frame that moves in an arm's base, as the odometry frame of a mobile manipulator.
 
 use super::jacobian::pose_change;
-use crate::samples::sampling::as_rotations;
-use ground::geometry::{Pose, Vec3, interpolate};
+use crate::samples::sampling::{as_rotations, pose_between};
+use ground::geometry::{Pose, Vec3};
 use ground::stream::{Orientations, PoseTrack};
 
 /// Frame that moves in an arm's base. Poses in it are transformed to the base, so that constant causes have constant
@@ -20,14 +20,7 @@ pub struct MovingFrame {
 impl MovingFrame {
     /// Frame in the base at a true time, interpolated. `None` outside the transforms.
     pub fn pose_at(&self, t_s: f64) -> Option<Pose> {
-        let right = self.t_s.partition_point(|&t| t < t_s);
-        let (&after_s, after) = (self.t_s.get(right)?, self.base_from_frame.get(right)?);
-        if after_s == t_s {
-            return Some(*after);
-        }
-        let left = right.checked_sub(1)?;
-        let part = (t_s - self.t_s[left]) / (after_s - self.t_s[left]);
-        Some(interpolate(&self.base_from_frame[left], after, part))
+        pose_between(&self.t_s, &self.base_from_frame, t_s, f64::INFINITY)
     }
 
     /// Poses in the base. Drops those outside the transforms.

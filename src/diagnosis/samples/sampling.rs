@@ -1,7 +1,7 @@
 //! Selects samples of a stream.
 
 use crate::{EstimateResult, NotObservable, PoseStream};
-use ground::geometry::{Pose, Rotation};
+use ground::geometry::{Pose, Rotation, interpolate};
 use ground::robot::Chain;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use ground::stream::{JointTrack, Orientations};
@@ -62,6 +62,18 @@ pub(crate) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
     }
+}
+
+/// Pose at a time between strictly increasing `t_s`, interpolated. `None` outside them and in gaps longer than `max_gap_s`.
+pub(crate) fn pose_between(t_s: &[f64], poses: &[Pose], at_s: f64, max_gap_s: f64) -> Option<Pose> {
+    let right = t_s.partition_point(|&t| t < at_s);
+    let (&after_s, after) = (t_s.get(right)?, poses.get(right)?);
+    if after_s == at_s {
+        return Some(*after);
+    }
+    let left = right.checked_sub(1)?;
+    let gap_s = after_s - t_s[left];
+    (gap_s <= max_gap_s).then(|| interpolate(&poses[left], after, (at_s - t_s[left]) / gap_s))
 }
 
 /// FK of an arm at times, fastest if these ascend.
