@@ -1,6 +1,7 @@
 //! Compares residuals of a run under two diagnoses, and with its noise.
 
 use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
+use super::trajectory_error::nearest_stamps;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::Noise;
 use crate::{
@@ -129,17 +130,11 @@ pub(crate) fn restore_recorded(
 ) {
     let recorded = align_with_fk(joints, stream, 0.0);
     let aligned = &mut after.aligned;
-    for (row, t_s) in aligned.t_s.iter().enumerate() {
-        let next = recorded.t_s.partition_point(|at_s| at_s < t_s);
-        let nearest = [next.checked_sub(1), Some(next)].into_iter().flatten();
-        let away_s = |at: &usize| (recorded.t_s[*at] - t_s).abs();
-        let nearest = nearest.filter(|at| *at < recorded.t_s.len());
-        if let Some(at) = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b))) {
-            aligned.fk[row] = recorded.fk[at];
-            aligned.logged[row].translation = recorded.logged[at].translation;
-            if matches!(stream.track.orientation, Orientations::Rotations(_)) {
-                aligned.logged[row].rotation = recorded.logged[at].rotation;
-            }
+    for (row, at) in nearest_stamps(&aligned.t_s, &recorded.t_s, f64::INFINITY) {
+        aligned.fk[row] = recorded.fk[at];
+        aligned.logged[row].translation = recorded.logged[at].translation;
+        if matches!(stream.track.orientation, Orientations::Rotations(_)) {
+            aligned.logged[row].rotation = recorded.logged[at].rotation;
         }
     }
 }

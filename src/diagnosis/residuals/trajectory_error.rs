@@ -116,7 +116,8 @@ fn seconds(stamp_ns: i64) -> f64 {
     second as f64 + nanos as f64 / NANOS_PER_SECOND as f64
 }
 
-fn nearest_stamps(
+/// For each of `stamps_s` the nearest of `others_s`, which ascend, if they differ by at most `max_difference_s`.
+pub(crate) fn nearest_stamps(
     stamps_s: &[f64],
     others_s: &[f64],
     max_difference_s: f64,
