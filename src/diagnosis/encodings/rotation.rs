@@ -5,11 +5,10 @@
 //! residual wins. Frame-independent invariants do not suffice, because several encodings differ only by a
 //! constant frame.
 
-use crate::frames::rotation_frames::{
-    CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
-};
+use crate::frames::rotation_frames::{CandidateRotations, fit_both_frames, fit_one_frame, nearest};
 use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::priors::ZERO_PRIOR;
+use crate::residuals::cause_columns::Frame;
 use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::solver::robust::{kept_samples, trimmed_rms};
@@ -535,11 +534,11 @@ fn fits_with(
     candidates: &CandidateRotations,
 ) -> Vec<EncodingFit> {
     let fit = |&frames: &FreeFrameErrors| {
-        let one = |side| fit_one_frame(candidates, samples.fk, side);
+        let one = |which| fit_one_frame(candidates, samples.fk, which);
         let (reference, tool) = match frames {
             FreeFrameErrors::None => Default::default(),
-            FreeFrameErrors::Tool => (Rotation::identity(), one(Side::Tool)),
-            FreeFrameErrors::Reference => (one(Side::Reference), Rotation::identity()),
+            FreeFrameErrors::Tool => (Rotation::identity(), one(Frame::Tool)),
+            FreeFrameErrors::Reference => (one(Frame::Reference), Rotation::identity()),
             FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
         };
         let residual_rad = residual(candidates, samples.fk, &reference, &tool);

@@ -1,5 +1,6 @@
 //! Fits constant frames between two series of rotations.
 
+use crate::residuals::cause_columns::Frame;
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec};
 use nalgebra::{Matrix3, Vector4};
@@ -42,26 +43,20 @@ pub(crate) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(R
     best.map(|(candidate, cosine)| (*candidate, cosine))
 }
 
-#[derive(Clone, Copy)]
-pub(crate) enum Side {
-    Reference,
-    Tool,
-}
-
 /// Constant frame that best maps FK to the candidates. Tries several samples as anchors, because one may be
 /// on a wrong branch.
 pub(crate) fn fit_one_frame(
     candidates: &CandidateRotations,
     fk: &[Rotation],
-    side: Side,
+    which: Frame,
 ) -> Rotation {
-    let frame_at = |truth: &Rotation, fk: &Rotation| match side {
-        Side::Reference => truth * fk.inverse(),
-        Side::Tool => fk.inverse() * truth,
+    let frame_at = |truth: &Rotation, fk: &Rotation| match which {
+        Frame::Reference => truth * fk.inverse(),
+        Frame::Tool => fk.inverse() * truth,
     };
-    let apply = |frame: &Rotation, fk: &Rotation| match side {
-        Side::Reference => frame * fk,
-        Side::Tool => fk * frame,
+    let apply = |frame: &Rotation, fk: &Rotation| match which {
+        Frame::Reference => frame * fk,
+        Frame::Tool => fk * frame,
     };
     let step = fk.len().div_ceil(4);
     let anchors = (0..fk.len())
