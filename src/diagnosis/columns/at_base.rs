@@ -20,15 +20,12 @@ impl NumericTable {
         &self,
         constraints: &MappingConstraints,
         lags_s: &[f64],
+        rows: &[usize],
     ) -> Vec<ColumnCandidate> {
-        let rows = self.few_rows();
-        if rows.len() < super::LINEAR_FIT_ROWS / 3 || self.columns.len() > super::MAX_COLUMNS {
-            return Vec::new();
-        }
         let logged: Vec<PositionColumns> = self
             .possible_positions(constraints)
             .into_iter()
-            .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
+            .filter_map(|position| PositionColumns::from_columns(self, position, rows))
             .collect();
         let blocks = self.candidate_blocks(constraints, 1);
         let near = blocks.par_iter().flat_map_iter(|block| {
@@ -38,7 +35,7 @@ impl NumericTable {
             };
             let mut near = Vec::new();
             for &lag_s in lags_s {
-                let fk = self.poses_at(block, constraints.chains[*arm], &rows, lag_s);
+                let fk = self.poses_at(block, constraints.chains[*arm], rows, lag_s);
                 let shares = logged.iter().filter(is_free);
                 near.extend(shares.filter_map(|logged| {
                     Some((logged.residual_share(&fk)?, block, logged.position))

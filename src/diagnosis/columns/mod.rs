@@ -317,8 +317,12 @@ impl NumericTable {
         let of = |candidates: &ColumnCandidate| {
             self.fit(constraints, &candidates.block, candidates.position, false)
         };
-        let mut candidates = self.candidates_at_base(constraints, lags_s);
-        candidates.extend(self.linear_candidates(constraints, lags_s));
+        let rows = self.few_rows();
+        if rows.len() < LINEAR_FIT_ROWS / 3 || self.columns.len() > MAX_COLUMNS {
+            return Vec::new();
+        }
+        let mut candidates = self.candidates_at_base(constraints, lags_s, &rows);
+        candidates.extend(self.linear_candidates(constraints, lags_s, &rows));
         let (first, others) = candidates.split_at(candidates.len().min(FIRST_CANDIDATES));
         let mut all: Vec<ColumnMapping> = first.par_iter().filter_map(of).collect();
         let is_clear = all.iter().any(|it| it.residual_m < CLEAR_RESIDUAL_SHARE * it.spread_m);
@@ -464,17 +468,14 @@ impl NumericTable {
         &self,
         constraints: &MappingConstraints,
         lags_s: &[f64],
+        rows: &[usize],
     ) -> Vec<ColumnCandidate> {
-        let rows = self.few_rows();
-        if rows.len() < LINEAR_FIT_ROWS / 3 || self.columns.len() > MAX_COLUMNS {
-            return Vec::new();
-        }
-        let logged = self.at_rows(&rows);
+        let logged = self.at_rows(rows);
         let fewer: Vec<usize> =
             rows.iter().copied().step_by(rows.len().div_ceil(SCREENING_ROWS)).collect();
         let views = [
             (self.at_rows(&fewer), fewer, MAX_SCREENING_RESIDUAL_SHARE),
-            (logged.clone(), rows.clone(), MAX_LINEAR_RESIDUAL_SHARE),
+            (logged.clone(), rows.to_vec(), MAX_LINEAR_RESIDUAL_SHARE),
         ];
         let span_s = self.t_s[rows[rows.len() - 1]] - self.t_s[rows[0]];
         let plain = DMatrix::from_fn(rows.len(), POLYNOMIAL_DEGREE as usize, |row, power| {
