@@ -10,8 +10,8 @@ use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
-    Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_matrix_rows,
-    rotation_from_rotvec, rotvec_from_rotation,
+    Axes, Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_rotvec,
+    rotvec_from_rotation,
 };
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -342,7 +342,11 @@ fn add_tool_prior(normal: &mut NormalEquations, tool: &Pose) {
 
 /// Nearest quarter turn within [`ROUND_TOLERANCE_RAD`], excluding the identity.
 fn round_rotation(rotation: &Rotation) -> Option<Pose> {
-    static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
+    static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(|| {
+        let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
+        let others = right_handed.filter(|axes| **axes != Axes::STANDARD);
+        others.map(|axes| axes.conjugator()).collect()
+    });
     QUARTER_TURNS
         .iter()
         .find(|quarter| angle_between(quarter, rotation) < ROUND_TOLERANCE_RAD)
@@ -357,26 +361,6 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
         .map(|round| first_joint * round * first_joint.inverse());
     let both = [round_rotation(&frame.rotation), at_joint];
     both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
-}
-
-/// The 23 axis permutations without the identity.
-fn quarter_turns() -> Vec<Rotation> {
-    let axes = [0usize, 1, 2];
-    let signs = [1.0, -1.0];
-    let mut turns = Vec::new();
-    for x in axes {
-        for y in axes.into_iter().filter(|&y| y != x) {
-            for (sx, sy) in signs.into_iter().flat_map(|sx| signs.map(|sy| (sx, sy))) {
-                let first = Vec3::ith(x, sx);
-                let second = Vec3::ith(y, sy);
-                let third = first.cross(&second);
-                let rows = std::array::from_fn(|r| [first[r], second[r], third[r]]);
-                turns.extend(rotation_from_matrix_rows(rows).map(|(rotation, _)| rotation));
-            }
-        }
-    }
-    turns.retain(|turn| turn.angle() > 0.1);
-    turns
 }
 
 /// Estimates one frame with `causes` and the always-free causes free.
