@@ -490,8 +490,7 @@ pub(crate) fn or_without_causes(
         return model;
     }
     let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
-    let linear = Linearized::new(observations, &start, FIT_SAMPLES, &without.always);
-    let without = continue_rounds(observations, (start, &linear), &without, Rounds::FIT);
+    let without = select_model(observations, start, &without);
     // Rounded positions repeat with the configuration, so the noise is as correlated as without the causes.
     let gain = |(with, without): (Noise, Noise)| {
         let inflation = with.inflation().max(without.inflation()).min(MAX_INFLATION);
