@@ -1,5 +1,6 @@
 //! Compares residuals of a run under two diagnoses, and with its noise.
 
+use super::excess::rms;
 use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
 use super::trajectory_error::nearest_stamps;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
@@ -62,16 +63,11 @@ pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
 
 /// Whether residuals, m and rad, are larger than a healthy stream's and than their sample-to-sample noise.
 pub(crate) fn exceeds_noise(residuals: &[Vec<[f64; 3]>]) -> bool {
-    let mean_square = |vectors: &mut dyn Iterator<Item = Vec3>| {
-        let (sum, count) =
-            vectors.fold((0.0, 0_usize), |(sum, count), v| (sum + v.norm_squared(), count + 1));
-        sum / count.max(1) as f64
-    };
     let exceeds = |(residuals, healthy): (&Vec<[f64; 3]>, f64)| {
-        let rms = mean_square(&mut residuals.iter().map(|v| Vec3::from(*v))).sqrt();
-        let steps = residuals.windows(2).map(|pair| Vec3::from(pair[1]) - Vec3::from(pair[0]));
-        let noise = (0.5 * mean_square(&mut steps.into_iter())).sqrt();
-        rms > healthy.max(MIN_NOISE_RATIO * noise)
+        let vectors: Vec<Vec3> = residuals.iter().map(|v| Vec3::from(*v)).collect();
+        let steps: Vec<Vec3> = vectors.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let noise = 0.5_f64.sqrt() * rms(&steps);
+        rms(&vectors) > healthy.max(MIN_NOISE_RATIO * noise)
     };
     residuals.iter().zip(HEALTHY_RESIDUAL_M_RAD).any(exceeds)
 }
