@@ -419,10 +419,14 @@ fn is_near_as_logged(stream: &PoseDiagnosis) -> bool {
 
 /// Whether neither causes nor links explain its excess residual.
 fn is_unexplained(stream: &PoseDiagnosis) -> bool {
-    let ResidualSize { m, rad } = excess_residual(stream);
-    let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
+    let residual = excess_residual(stream);
     // Links do not explain rotations that do not follow the arm.
-    is_open && !(stream.is_nominal && rad != Some(UNREAD_RAD))
+    exceeds_explained(residual) && !(stream.is_nominal && residual.rad != Some(UNREAD_RAD))
+}
+
+/// Whether the causes do not explain this excess residual.
+fn exceeds_explained(ResidualSize { m, rad }: ResidualSize) -> bool {
+    m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD)
 }
 
 /// Whether rotations are in another encoding than the logged one.
@@ -439,10 +443,7 @@ fn may_be_as_logged(stream: &PoseDiagnosis) -> bool {
 impl ArmDiagnosis {
     /// Whether other frames, encodings or latencies than those found might explain more.
     pub fn is_unexplained(&self) -> bool {
-        self.streams.iter().any(|stream| {
-            let ResidualSize { m, rad } = excess_residual(stream);
-            m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD)
-        })
+        self.streams.iter().any(|stream| exceeds_explained(excess_residual(stream)))
     }
 
     /// Whether a rotation is read in the opposite of the usual way, for example `euler:xyz` as a rotation vector, or
