@@ -261,7 +261,7 @@ impl StreamFit<'_> {
         };
         let delays = estimate_delay_jitter(aligned, model.state.streams[self.index].latency_s);
         let latency = delays.as_ref().map_or(fitted, |delays| delays.median_s);
-        (Ok(widened(latency, self.stream.stamp_error_s)), delays)
+        (Ok(latency.with_error(self.stream.stamp_error_s)), delays)
     }
 
     fn skew(&self) -> EstimateResult<Measured> {
@@ -272,7 +272,7 @@ impl StreamFit<'_> {
         let t_s = &self.decoded.observations.t_s;
         let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
         // Stamp errors at both ends look like skew.
-        Ok(widened(skew, 2.0 * self.stream.stamp_error_s / span_s))
+        Ok(skew.with_error(2.0 * self.stream.stamp_error_s / span_s))
     }
 
     /// Latency and skew, fitted together with link deviations.
@@ -311,11 +311,6 @@ impl StreamFit<'_> {
             false => (Ok(LatencyProfile { is_unsteady, ..profile }), unconfirmed),
         }
     }
-}
-
-/// With another, independent error.
-fn widened(measured: Measured, error: f64) -> Measured {
-    Measured { std_error: measured.std_error.hypot(error), ..measured }
 }
 
 /// Speed at the sample before, rad/s. 0 if all joints rest.

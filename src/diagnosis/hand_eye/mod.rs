@@ -308,12 +308,10 @@ fn solve(
     let closure = closure_error(&streams.setting(encoding, mount, usize::MAX), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
     let scale = fit.scale(along);
-    let offset_s =
-        Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
     Some(HandEyeSolution {
         mount,
         ratio: other / misfit.max(1e-9),
-        offset_s,
+        offset_s: fit.offset_s.with_error(streams.stamp_error_s),
         camera: fit.camera(),
         target: fit.state.constant,
         misfit_rad: misfit,

@@ -11,7 +11,7 @@ use super::extension_tests::ExtensionTests;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
-    check_explained, mount_of, noise_of_axes, rms, widened,
+    check_explained, mount_of, noise_of_axes, rms,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
@@ -51,7 +51,7 @@ impl GyroFit {
         let rotation = rotvec_from_rotation(&imu_from_gyro);
         let mut size_rad =
             self.solved.observable_length(GyroModel::MOUNT, rotation.as_slice()).ok()?;
-        size_rad.norm = widened(size_rad.norm, self.relative_fk_error);
+        size_rad.norm = size_rad.norm.with_error(self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
 }
@@ -107,7 +107,7 @@ impl Link<'_> {
         let rotation_rad = self.rotation_rms_rad(&model.delay);
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
         let scale_error = scale_error.map(|it: GyroScaleError| {
-            let scale = it.scale.map(|one| widened(one, relative_fk_error));
+            let scale = it.scale.map(|one| one.with_error(relative_fk_error));
             GyroScaleError { scale, ..it }
         });
         if rotation_rad > MIN_ROTATION_RAD {

@@ -245,16 +245,11 @@ impl Clock {
         // Stamp errors at both ends simulate a skew.
         let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
         Self {
-            latency_s: self.latency_s.map(|it| widened(it, stream.stamp_error_s)),
-            skew: self.skew.map(|it| widened(it, simulated_skew)),
+            latency_s: self.latency_s.map(|it| it.with_error(stream.stamp_error_s)),
+            skew: self.skew.map(|it| it.with_error(simulated_skew)),
             ..self
         }
     }
-}
-
-/// Adds an independent standard error.
-fn widened(measured: Measured, error: f64) -> Measured {
-    Measured { std_error: measured.std_error.hypot(error), ..measured }
 }
 
 /// Likeliest lag of an IMU that follows the arm.

@@ -36,6 +36,11 @@ impl Measured {
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_error: self.std_error * factor.abs(), ..*self }
     }
+
+    /// With another, independent error.
+    pub fn with_error(&self, std_error: f64) -> Self {
+        Self { std_error: self.std_error.hypot(std_error), ..*self }
+    }
 }
 
 /// Length of a measured vector.
