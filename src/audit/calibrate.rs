@@ -512,12 +512,7 @@ fn input_from_stream(
         poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
         is_rotation_excluded: diagnosis.encoding.is_err(),
         latency_s: diagnosis.latency_s.as_ref().ok().map(|latency| latency.value),
-        skew: diagnosis
-            .skew
-            .as_ref()
-            .ok()
-            .filter(|_| diagnosis.is_skew_chosen)
-            .map_or(0.0, |skew| skew.value),
+        skew: diagnosis.chosen_skew(),
         reference: kept(frames.reference, reference_is_free),
         is_reference_free: reference_is_free,
         tool: kept(frames.tool, tool_is_free),

@@ -543,6 +543,14 @@ impl PoseDiagnosis {
             || self.encoding_spans != EncodingSpans::default()
     }
 
+    /// Clock skew of the model, s/s. 0 if it contains none.
+    pub fn chosen_skew(&self) -> f64 {
+        match &self.skew {
+            Ok(skew) if self.is_skew_chosen => skew.value,
+            _ => 0.0,
+        }
+    }
+
     /// Residual of a stream that follows the arm.
     fn followed_residual(&self) -> Option<&StreamResidual> {
         let follows = !matches!(self.encoding, Err(NotObservable::DoesNotFollow(_)));

@@ -297,9 +297,7 @@ impl ArmRun<'_> {
             Ok(latency) => latency.value,
             Err(_) => stream_lag_s(self.joints, stream, self.max_lag_s),
         };
-        let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
-        let skew = skew.map_or(0.0, |skew| skew.value);
-        let middle_s = diagnosis.aligned.middle_s();
+        let (skew, middle_s) = (diagnosis.chosen_skew(), diagnosis.aligned.middle_s());
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 

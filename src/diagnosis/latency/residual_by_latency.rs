@@ -28,9 +28,7 @@ pub fn residual_by_latency(
     let Ok(latency) = &diagnosis.latency_s else { return Vec::new() };
     let aligned = &diagnosis.aligned;
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
-    let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
-    let skew = if diagnosis.is_skew_chosen { skew } else { 0.0 };
-    let middle_s = aligned.middle_s();
+    let (skew, middle_s) = (diagnosis.chosen_skew(), aligned.middle_s());
     let mut squares = vec![(0.0, 0.0); latencies_s.len()];
     let mut compared = 0;
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);

@@ -178,9 +178,8 @@ fn residual_with_calibration(
         moving_frame,
         ..PoseObservations::new(corrected_joints, chain, columns, &still, t_s, corrected)
     };
-    let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
     let plain = StreamState {
-        skew: skew.map_or(0.0, |skew| skew.value),
+        skew: diagnosis.chosen_skew(),
         ..StreamState::at_latency(diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
     let (mut sweep, none) =
