@@ -44,15 +44,15 @@ pub fn full_fit_count() -> usize {
     FULL_FITS.load(Ordering::Relaxed)
 }
 
+/// `observations` are those of `decoded`.
 pub(super) fn fit(
     decoded: &[&DecodedStream],
+    observations: &[&PoseObservations],
     corrected: &CorrectedJoints,
     with_offsets: bool,
 ) -> Option<ArmFit> {
-    let fitted = fit_with_link_deviations(decoded, corrected, with_offsets)?;
-    let observations: Vec<&PoseObservations> =
-        decoded.iter().map(|decoded| &decoded.observations).collect();
-    Some(with_timings(fitted, &observations))
+    let fitted = fit_with_link_deviations(decoded, observations, corrected, with_offsets)?;
+    Some(with_timings(fitted, observations))
 }
 
 /// Measures latencies and skews of an arm whose links deviate. Small ones are hidden from the selection of causes.
@@ -99,6 +99,7 @@ fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
 
 fn fit_with_link_deviations(
     decoded: &[&DecodedStream],
+    observations: &[&PoseObservations],
     corrected: &CorrectedJoints,
     with_offsets: bool,
 ) -> Option<ArmFit> {
@@ -106,8 +107,6 @@ fn fit_with_link_deviations(
         return None;
     }
     FULL_FITS.fetch_add(1, Ordering::Relaxed);
-    let observations: Vec<&PoseObservations> =
-        decoded.iter().map(|decoded| &decoded.observations).collect();
     let fit_with = |may_confound_frames: bool| {
         let candidates = |decoded: &[&DecodedStream]| CandidateCauses {
             may_confound_frames,
@@ -117,9 +116,9 @@ fn fit_with_link_deviations(
         let candidates = candidates(decoded);
         let model = match start {
             Start::Final(model) => *model,
-            Start::At(state) => select_model(&observations, state, &candidates),
+            Start::At(state) => select_model(observations, state, &candidates),
         };
-        let model = or_without_causes(&observations, model, &candidates);
+        let model = or_without_causes(observations, model, &candidates);
         (model, candidates)
     };
     let (mut model, mut candidates) = fit_with(false);
@@ -136,9 +135,9 @@ fn fit_with_link_deviations(
         }
     }
     let large_offsets = large_zeros(&model.state, corrected);
-    let model = prefer_tool_frames(&observations, model, &candidates, &large_offsets);
+    let model = prefer_tool_frames(observations, model, &candidates, &large_offsets);
     let (model, candidates) = match with_offsets {
-        true => prefer_zeros(&observations, model, candidates, &large_offsets),
+        true => prefer_zeros(observations, model, candidates, &large_offsets),
         false => (model, candidates),
     };
     let large_offsets = large_zeros(&model.state, corrected);
@@ -167,7 +166,7 @@ fn fit_with_link_deviations(
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None, timings: Vec::new() };
         return Some(match with_offsets && has_links {
-            true => drop_imitated_causes(fitted, &observations, largest_stream),
+            true => drop_imitated_causes(fitted, observations, largest_stream),
             false => fitted,
         });
     }
@@ -180,7 +179,7 @@ fn fit_with_link_deviations(
     let always = [candidates.always, named].concat();
     let candidates = CandidateCauses { always, optional, ..candidates };
     let start = State { offsets, streams: plain };
-    let model = select_model(&observations, start, &candidates);
+    let model = select_model(observations, start, &candidates);
     Some(ArmFit { model, candidates, deviations, timings: Vec::new() })
 }
 

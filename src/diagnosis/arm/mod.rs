@@ -623,7 +623,7 @@ fn diagnose(
     let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
     let observations: Vec<&PoseObservations> =
         usable.iter().map(|decoded| &decoded.observations).collect();
-    let fitted = fit(&usable, corrected, with_offsets);
+    let fitted = fit(&usable, &observations, corrected, with_offsets);
     let fitted = fitted.as_ref().map(|fitted| {
         let held_out = HeldOut::new(&observations, &fitted.model, &fitted.candidates);
         let beside_links = match with_offsets {
