@@ -12,6 +12,16 @@ pub(crate) fn pose_change(from: &Pose, to: &Pose) -> Derivative {
     [to.translation.vector - from.translation.vector, turn]
 }
 
+/// Derivatives of a pose at `tip` with respect to changes of a link's frame, multiplied on the right: translation along
+/// its axes, then rotation about them.
+pub(crate) fn link_derivatives(link: &Pose, tip: &Vec3) -> [Derivative; 6] {
+    let units = [0, 1, 2].map(|axis| link.rotation * Vec3::ith(axis, 1.0));
+    std::array::from_fn(|column| match column {
+        0..3 => [units[column], Vec3::zeros()],
+        _ => [units[column - 3].cross(&(tip - link.translation.vector)), units[column - 3]],
+    })
+}
+
 pub(crate) struct PoseJacobian<'a> {
     /// Geometric Jacobian of the link's origin in the base ([`ground::robot::Chain::forward_with_jacobian`]).
     link: &'a [[f64; 6]],

@@ -4,7 +4,7 @@
 //! No arm is exactly its model. Tests of changes and compliance therefore include constant deviations of the links, with a
 //! prior.
 
-use crate::model::jacobian::{Derivative, PoseJacobian, pose_change};
+use crate::model::jacobian::{Derivative, PoseJacobian, link_derivatives, pose_change};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
@@ -246,11 +246,8 @@ impl<'a> CauseColumns<'a> {
                 self.chain.joint_frames(q, &mut frames);
             }
             for (link, frame) in frames.iter().take(self.links).enumerate() {
-                for axis in 0..3 {
-                    let unit = frame.rotation * Vec3::ith(axis, 1.0);
-                    let lever = unit.cross(&(tip - frame.translation.vector));
-                    set(CAUSES + 6 * link + axis, [unit, Vec3::zeros()]);
-                    set(CAUSES + 6 * link + 3 + axis, [lever, unit]);
+                for (axis, derivative) in link_derivatives(frame, &tip).into_iter().enumerate() {
+                    set(CAUSES + 6 * link + axis, derivative);
                 }
             }
         }

@@ -11,7 +11,7 @@
 //! causes reduce the residual to noise.
 
 use crate::latency::profile::explains_excess;
-use crate::model::jacobian::Derivative;
+use crate::model::jacobian::{Derivative, link_derivatives};
 use crate::model::measurement::{
     FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
 };
@@ -342,11 +342,8 @@ pub(crate) fn link_frames(
         let tip = jacobian.pose.translation.vector;
         let frames = links.iter().map(|link| stream_state.reference * link);
         for (i, frame) in [stream_state.reference].into_iter().chain(frames).enumerate() {
-            for axis in 0..3 {
-                let unit = frame.rotation * Vec3::ith(axis, 1.0);
-                let lever = unit.cross(&(tip - frame.translation.vector));
-                set(6 * i + axis, [unit, Vec3::zeros()]);
-                set(6 * i + 3 + axis, [lever, unit]);
+            for (axis, derivative) in link_derivatives(&frame, &tip).into_iter().enumerate() {
+                set(6 * i + axis, derivative);
             }
         }
         let late = jacobian.velocity(qd).map(|part| -part);
