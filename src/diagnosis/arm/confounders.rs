@@ -15,7 +15,7 @@ pub(super) fn measured(
     let parameters = candidates.free_parameters(causes, state);
     let parameter = cause.parameters(state).start;
     let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
-    model.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
+    model.linear.measured(&parameters, at).ok_or(NotObservable::NotExcited)
 }
 
 /// Whether the motion does not separate the effects of two causes.

@@ -301,7 +301,7 @@ fn explains_all(model: &SelectedModel) -> bool {
 
 /// Residual of every stream, rms m and rad.
 fn residuals(model: &SelectedModel) -> impl Iterator<Item = [f64; 2]> {
-    model.linear.streams.iter().map(|stream| rms_of_kinds(&stream.residual))
+    model.linear.streams().map(|stream| rms_of_kinds(&stream.residual))
 }
 
 /// Causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and

@@ -378,11 +378,11 @@ pub(crate) fn frame_estimate(
     let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;
     let covariance = match candidates.may_confound_frames {
         // The motion may not separate the frames, but no tool is as long as a base can be away.
-        true => linear.covariance_with_prior(&parameters, state, |parameter| {
+        true => linear.covariance_with_prior(&parameters, |parameter| {
             let of_tool = parameter.checked_sub(Cause::Tool(stream).parameters(state).start)?;
             [MARKER_PRIOR_M, std::f64::consts::PI].get(of_tool / 3).copied()
         }),
-        false => linear.covariance(&parameters, state),
+        false => linear.covariance(&parameters),
     };
     let block = covariance.view((first, first), (width, width)).into_owned();
     if !block.diagonal().iter().all(|variance| variance.is_finite()) {

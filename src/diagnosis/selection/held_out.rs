@@ -61,12 +61,12 @@ impl<'a> HeldOut<'a> {
     ) -> Self {
         let half = |half: usize| {
             let part = |which: usize| -> Vec<Vec<usize>> {
-                let streams = model.linear.streams.iter();
+                let streams = model.linear.streams();
                 streams.map(|stream| rows_of_half(stream.len(), which, MAX_SAMPLES)).collect()
             };
             let (training, test) = (part(half), part(1 - half));
-            let normal = model.linear.normal_of(&training, &model.state);
-            let streams = model.linear.streams.iter().zip(&test);
+            let normal = model.linear.normal_of(&training);
+            let streams = model.linear.streams().zip(&test);
             (normal, streams.map(|(stream, rows)| stream.subset(rows)).collect())
         };
         let chosen: Vec<Cause> = candidates.always.iter().chain(&model.causes).copied().collect();

@@ -10,7 +10,7 @@ use crate::model::measurement::{
 };
 use crate::priors::price;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
-use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use ground::geometry::Pose;
@@ -88,8 +88,7 @@ fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
 
 /// Model linearised about a state, with its noise.
 pub(crate) struct Linearized {
-    pub streams: Vec<Linear>,
-    weights: Vec<Vec<Weight>>,
+    equations: SharedEquations,
     pub normal: Normal,
     values: DVector<f64>,
     /// Cached for repeated queries.
@@ -105,13 +104,6 @@ struct FreeFit {
     step: DVector<f64>,
 }
 
-/// Columns of a stream in the whole model.
-fn columns_of(state: &State, stream: usize) -> Vec<usize> {
-    let joints = state.offsets.len();
-    let start = state.index(stream, 0);
-    (0..joints).chain(start..start + STREAM_WIDTH).collect()
-}
-
 impl Linearized {
     /// Linearises about `state` with about `max_samples` samples per stream. The weights are of the noise with
     /// all `candidates` free.
@@ -121,17 +113,17 @@ impl Linearized {
         max_samples: usize,
         candidates: &[Cause],
     ) -> Self {
-        let streams: Vec<Linear> = observations
-            .iter()
-            .zip(&state.streams)
-            .map(|(observations, stream)| {
-                observations.linearize(stream, &state.offsets, max_samples)
-            })
-            .collect();
-        let values = state.values();
-        let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
-        let normal = normal_equations(&streams, &weights, state);
-        let mut linearized = Self { streams, weights, normal, values, free_fit: Mutex::new(None) };
+        let of_stream = |(s, observations): (usize, &&PoseObservations)| {
+            let linear = observations.linearize(&state.streams[s], &state.offsets, max_samples);
+            let (joints, start) = (state.offsets.len(), state.index(s, 0));
+            let parameters = (0..joints).chain(start..start + STREAM_WIDTH).collect();
+            StreamEquations { weights: linear.first_weights(), linear, parameters }
+        };
+        let streams = observations.iter().enumerate().map(of_stream).collect();
+        let damping = DVector::from_vec(state.scales()).map(|scale| scale.powi(-2));
+        let equations = SharedEquations { streams, prior: DMatrix::from_diagonal(&damping) };
+        let (normal, values) = (equations.normal(), state.values());
+        let mut linearized = Self { equations, normal, values, free_fit: Mutex::new(None) };
         // The first step's weights are rough.
         linearized.update_weights(state, candidates);
         linearized.update_weights(state, candidates);
@@ -145,45 +137,45 @@ impl Linearized {
     /// Returns the previous weights with their equations.
     fn update_weights(&mut self, state: &State, causes: &[Cause]) -> (Vec<Vec<Weight>>, Normal) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
-        let weights: Vec<Vec<Weight>> = (0..self.streams.len())
-            .map(|s| self.streams[s].weights_after(&stream_step(&step, state, s)))
-            .collect();
-        let normal = normal_equations(&self.streams, &weights, state);
-        self.set_weights(weights, normal)
+        let weights = self.equations.update_weights(&step);
+        self.free_fit = Mutex::new(None);
+        (weights, mem::replace(&mut self.normal, self.equations.normal()))
     }
 
-    /// Replaces the weights and their equations; returns the previous ones.
-    fn set_weights(
-        &mut self,
-        weights: Vec<Vec<Weight>>,
-        normal: Normal,
-    ) -> (Vec<Vec<Weight>>, Normal) {
+    /// Returns to these weights and their equations.
+    fn set_weights(&mut self, weights: Vec<Vec<Weight>>, normal: Normal) {
+        for (stream, weights) in self.equations.streams.iter_mut().zip(weights) {
+            stream.weights = weights;
+        }
+        self.normal = normal;
         self.free_fit = Mutex::new(None);
-        (mem::replace(&mut self.weights, weights), mem::replace(&mut self.normal, normal))
+    }
+
+    /// Samples of each stream.
+    pub fn streams(&self) -> impl ExactSizeIterator<Item = &Linear> {
+        self.equations.streams.iter().map(|stream| &stream.linear)
     }
 
     /// Normal equations of some samples of each stream.
-    pub fn normal_of(&self, samples: &[Vec<usize>], state: &State) -> Normal {
-        let streams: Vec<Linear> =
-            self.streams.iter().zip(samples).map(|(stream, rows)| stream.subset(rows)).collect();
-        let weights: Vec<Vec<Weight>> = self
-            .weights
-            .iter()
-            .zip(samples)
-            .map(|(weights, rows)| weights.iter().map(|weight| weight.subset(rows)).collect())
-            .collect();
-        normal_equations(&streams, &weights, state)
+    pub fn normal_of(&self, samples: &[Vec<usize>]) -> Normal {
+        let part = |(stream, rows): (&StreamEquations, &Vec<usize>)| StreamEquations {
+            linear: stream.linear.subset(rows),
+            weights: stream.weights.iter().map(|weight| weight.subset(rows)).collect(),
+            parameters: stream.parameters.clone(),
+        };
+        let streams = self.equations.streams.iter().zip(samples).map(part).collect();
+        SharedEquations { streams, prior: self.equations.prior.clone() }.normal()
     }
 
     /// Least-squares step of `normal` with `causes` free, in the columns of each stream.
     pub fn stream_steps(&self, normal: &Normal, causes: &[Cause], state: &State) -> Vec<Vec<f64>> {
         let step = normal.step(&self.values, &parameters_of(causes, state));
-        (0..self.streams.len()).map(|s| stream_step(&step, state, s)).collect()
+        self.equations.streams.iter().map(|stream| stream.own_part(&step)).collect()
     }
 
     /// Noise of a stream's positions and rotations.
     pub fn noise_of(&self, stream: usize) -> [Noise; 2] {
-        [0, 1].map(|kind| self.weights[stream][kind].noise)
+        [0, 1].map(|kind| self.equations.streams[stream].weights[kind].noise)
     }
 
     /// Least-squares step with `parameters` free; returns all others to zero.
@@ -198,16 +190,16 @@ impl Linearized {
 
     /// Covariance with only `parameters` free, under correlated noise (`H⁻¹ S H⁻¹`, White 1980). Infinite
     /// if not observable.
-    pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
-        self.fit_free(parameters, state).covariance.clone()
+    pub fn covariance(&self, parameters: &[usize]) -> DMatrix<f64> {
+        self.fit_free(parameters).covariance.clone()
     }
 
-    fn fit_free(&self, parameters: &[usize], state: &State) -> Arc<FreeFit> {
+    fn fit_free(&self, parameters: &[usize]) -> Arc<FreeFit> {
         let mut known = self.free_fit.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
             return Arc::clone(freed);
         }
-        let [information, scores] = self.information_and_scores(parameters, state);
+        let [information, scores] = self.information_and_scores(parameters);
         let freed = Arc::new(FreeFit {
             parameters: parameters.to_vec(),
             influence: pseudo_inverse(&information).0,
@@ -222,10 +214,9 @@ impl Linearized {
     pub fn covariance_with_prior(
         &self,
         parameters: &[usize],
-        state: &State,
         prior: impl Fn(usize) -> Option<f64>,
     ) -> DMatrix<f64> {
-        let [mut information, mut scores] = self.information_and_scores(parameters, state);
+        let [mut information, mut scores] = self.information_and_scores(parameters);
         for (i, &parameter) in parameters.iter().enumerate() {
             let more = prior(parameter).map_or(0.0, |sigma| sigma.powi(-2));
             information[(i, i)] += more;
@@ -237,19 +228,21 @@ impl Linearized {
         }
     }
 
-    fn information_and_scores(&self, parameters: &[usize], state: &State) -> [DMatrix<f64>; 2] {
+    fn information_and_scores(&self, parameters: &[usize]) -> [DMatrix<f64>; 2] {
         let n = parameters.len();
         let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
-        for (s, linear) in self.streams.iter().enumerate() {
-            let columns = target_columns(parameters, state, s);
-            linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
+        for stream in &self.equations.streams {
+            let StreamEquations { linear, weights, .. } = stream;
+            let columns = target_columns(parameters, stream);
+            linear.accumulate_covariance(weights, &columns, &mut information, &mut scores);
         }
         [information, scores]
     }
 
     /// Information matrix of one stream, joints first.
     pub fn information_of(&self, stream: usize) -> DMatrix<f64> {
-        self.streams[stream].information(&self.weights[stream])
+        let StreamEquations { linear, weights, .. } = &self.equations.streams[stream];
+        linear.information(weights)
     }
 
     /// Independent residual components minus parameters.
@@ -258,11 +251,11 @@ impl Linearized {
     }
 
     /// Effective degrees of freedom along `influence`.
-    fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
+    fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>) -> f64 {
         let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
-        for (s, linear) in self.streams.iter().enumerate() {
-            let columns = target_columns(parameters, state, s);
-            let squares = linear.squares_along(&self.weights[s], &columns, influence);
+        for stream in &self.equations.streams {
+            let columns = target_columns(parameters, stream);
+            let squares = stream.linear.squares_along(&stream.weights, &columns, influence);
             sum += squares.0;
             variance += squares.1;
         }
@@ -270,39 +263,22 @@ impl Linearized {
     }
 
     /// Estimate of `parameters[which]` with `parameters` free. `None` if not observable.
-    pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
-        let freed = self.fit_free(parameters, state);
+    pub fn measured(&self, parameters: &[usize], which: usize) -> Option<Measured> {
+        let freed = self.fit_free(parameters);
         let variance = freed.covariance[(which, which)];
         let along = freed.influence.column(which).into_owned();
         let value = self.values[parameters[which]] + freed.step[parameters[which]];
         variance.is_finite().then(|| Measured {
             value,
             std_error: variance.max(0.0).sqrt(),
-            dof: self.dof_along(parameters, &along, state),
+            dof: self.dof_along(parameters, &along),
         })
     }
 }
 
-/// Index among `parameters` of each stream parameter.
-fn target_columns(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
-    let columns = columns_of(state, stream).into_iter();
-    columns.map(|column| parameters.binary_search(&column).ok()).collect()
-}
-
-fn stream_step(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
-    columns_of(state, stream).into_iter().map(|column| step[column]).collect()
-}
-
-fn normal_equations(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Normal {
-    let mut normal = Normal::zeros(state.width());
-    for (s, linear) in streams.iter().enumerate() {
-        linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
-    }
-    // Damping, see `State::scales`.
-    for (parameter, scale) in state.scales().into_iter().enumerate() {
-        normal.matrix[(parameter, parameter)] += scale.powi(-2);
-    }
-    normal
+/// Index among `parameters` of each column of a stream.
+fn target_columns(parameters: &[usize], stream: &StreamEquations) -> Vec<Option<usize>> {
+    stream.parameters.iter().map(|column| parameters.binary_search(column).ok()).collect()
 }
 
 #[derive(Clone)]
@@ -481,12 +457,12 @@ pub(crate) fn or_without_causes(
     }
     let mut start = model.state.clone();
     model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
-    let pairs = observations.iter().zip(&start.streams).zip(&model.linear.streams);
-    let mut is_near = pairs.map(|((observations, stream), with)| {
-        let without = observations.linearize(stream, &start.offsets, SAMPLES_OF_FIRST_COMPARISON);
+    let is_near = |(s, with): (usize, &Linear)| {
+        let (stream, offsets) = (&start.streams[s], &start.offsets);
+        let without = observations[s].linearize(stream, offsets, SAMPLES_OF_FIRST_COMPARISON);
         rms(&without.residual[0]) < MAX_RATIO * rms(&with.residual[0])
-    });
-    if !is_near.all(|is_near| is_near) {
+    };
+    if !model.linear.streams().enumerate().all(is_near) {
         return model;
     }
     let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
@@ -497,7 +473,7 @@ pub(crate) fn or_without_causes(
         (without.sigma / with.sigma).ln() / inflation
     };
     let samples = |stream: &Linear| [2.0 * 3.0 * stream.len() as f64; 2];
-    let samples = model.linear.streams.iter().flat_map(samples);
+    let samples = model.linear.streams().flat_map(samples);
     let gains = samples.zip(model.noise().into_iter().zip(without.noise()).map(gain));
     let gained: f64 = gains.map(|(samples, gain)| samples * gain).sum();
     if gained > model.price() - without.price() { model } else { without }
@@ -621,7 +597,7 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
     let inflations: Vec<f64> =
         quietest.into_iter().flatten().map(|noise| noise.inflation().min(MAX_INFLATION)).collect();
     let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
-        let streams = model.linear.streams.iter();
+        let streams = model.linear.streams();
         let samples = streams.flat_map(|stream| [3.0 * stream.len() as f64; 2]);
         let fit: f64 = samples
             .zip(noise.iter().zip(&inflations))
@@ -638,7 +614,7 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
 impl SelectedModel {
     /// Noise per stream and residual kind (positions, rotations).
     pub fn noise(&self) -> Vec<Noise> {
-        let weights = self.linear.streams.iter().flat_map(Linear::weights);
+        let weights = self.linear.streams().flat_map(Linear::weights);
         weights.map(|weight| weight.noise).collect()
     }
 
@@ -651,7 +627,7 @@ impl SelectedModel {
             let [m, rad] = self.linear.noise_of(s);
             is_white(m, MAX_EXPLAINED_M) && is_white(rad, MAX_EXPLAINED_RAD)
         };
-        self.causes.is_empty() && (0..self.linear.streams.len()).all(is_explained)
+        self.causes.is_empty() && (0..self.linear.streams().len()).all(is_explained)
     }
 
     /// Whether both have the same causes and converge to the same state.

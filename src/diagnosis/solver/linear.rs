@@ -509,6 +509,13 @@ pub(crate) struct StreamEquations {
     pub parameters: Vec<usize>,
 }
 
+impl StreamEquations {
+    /// Part of a step in the columns of the stream.
+    pub fn own_part(&self, step: &DVector<f64>) -> Vec<f64> {
+        self.parameters.iter().map(|&parameter| step[parameter]).collect()
+    }
+}
+
 /// Equations of several streams with shared parameters, which have a prior.
 pub(crate) struct SharedEquations {
     pub streams: Vec<StreamEquations>,
@@ -526,12 +533,13 @@ impl SharedEquations {
         normal
     }
 
-    /// Sets the weights from the residuals after a step.
-    pub fn update_weights(&mut self, step: &DVector<f64>) {
-        for StreamEquations { linear, weights, parameters } in &mut self.streams {
-            let own: Vec<f64> = parameters.iter().map(|&parameter| step[parameter]).collect();
-            *weights = linear.weights_after(&own);
-        }
+    /// Sets the weights from the residuals after a step. Returns the previous ones.
+    pub fn update_weights(&mut self, step: &DVector<f64>) -> Vec<Vec<Weight>> {
+        let update = |stream: &mut StreamEquations| {
+            let weights = stream.linear.weights_after(&stream.own_part(step));
+            std::mem::replace(&mut stream.weights, weights)
+        };
+        self.streams.iter_mut().map(update).collect()
     }
 
     /// Covariance of all parameters.
