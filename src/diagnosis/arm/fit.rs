@@ -44,19 +44,8 @@ pub fn full_fit_count() -> usize {
     FULL_FITS.load(Ordering::Relaxed)
 }
 
-/// `observations` are those of `decoded`.
-pub(super) fn fit(
-    decoded: &[&DecodedStream],
-    observations: &[&PoseObservations],
-    corrected: &CorrectedJoints,
-    with_offsets: bool,
-) -> Option<ArmFit> {
-    let fitted = fit_with_link_deviations(decoded, observations, corrected, with_offsets)?;
-    Some(with_timings(fitted, observations))
-}
-
 /// Measures latencies and skews of an arm whose links deviate. Small ones are hidden from the selection of causes.
-fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
+pub(super) fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
     if fitted.deviations.is_none() {
         return fitted;
     }
@@ -97,7 +86,8 @@ fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -> ArmFit {
     ArmFit { model, candidates, timings, ..fitted }
 }
 
-fn fit_with_link_deviations(
+/// `observations` are those of `decoded`.
+pub(super) fn fit(
     decoded: &[&DecodedStream],
     observations: &[&PoseObservations],
     corrected: &CorrectedJoints,

@@ -30,8 +30,8 @@ use crate::{
     JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream, StreamResidual,
 };
 use beside_links::BesideLinks;
-use fit::fit;
 pub use fit::full_fit_count;
+use fit::{fit, with_timings};
 use ground::geometry::{Convention, QuaternionOrderError};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -624,6 +624,7 @@ fn diagnose(
     let observations: Vec<&PoseObservations> =
         usable.iter().map(|decoded| &decoded.observations).collect();
     let fitted = fit(&usable, &observations, corrected, with_offsets);
+    let fitted = fitted.map(|fitted| with_timings(fitted, &observations));
     let fitted = fitted.as_ref().map(|fitted| {
         let held_out = HeldOut::new(&observations, &fitted.model, &fitted.candidates);
         let beside_links = match with_offsets {
