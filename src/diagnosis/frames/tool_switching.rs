@@ -10,9 +10,9 @@ use crate::compliance::motion_directions;
 use crate::encodings::position::metres_by_size;
 use crate::latency::correlation::median_period_s;
 use crate::model::measurement::{pose_of_twist, twist_of};
-use crate::samples::sampling::{FkSequence, as_rotations};
-use crate::{LengthUnitError, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Vec3, pose};
+use crate::samples::sampling::FkSequence;
+use crate::{LengthUnitError, PoseDiagnosis, PoseSeries, PoseStream};
+use ground::geometry::{Pose, Vec3};
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
 
@@ -75,9 +75,7 @@ pub fn detect_tool_switching(
     stream: &PoseStream,
 ) -> Option<(ToolSwitching, Vec<Pose>)> {
     let track = stream.track;
-    let rotations = as_rotations(&track.orientation)?;
-    let both = track.xyz.iter().zip(rotations);
-    let poses: Vec<Pose> = both.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
+    let poses = PoseSeries::from_track(track)?.poses;
     let period_s = median_period_s(&track.t_s);
     if poses.len() < MIN_SAMPLES || period_s <= 0.0 {
         return None;
