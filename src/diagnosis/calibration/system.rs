@@ -235,9 +235,7 @@ impl CalibrationSystem<'_> {
     pub fn sample_normal(&self, linearized: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width);
         for (source, stream) in self.sources.iter().zip(linearized) {
-            let all: Vec<usize> = (0..stream.linear.width).collect();
-            let mut own = Normal::zeros(stream.linear.width);
-            stream.linear.accumulate(&stream.weights, &all, &mut own);
+            let own = stream.linear.normal(&stream.weights);
             normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
             normal.right += source.columns.transpose() * own.right;
             normal.cost += own.cost;
