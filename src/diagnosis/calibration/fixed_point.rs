@@ -1,5 +1,6 @@
 //! Point of the last link that stays at one place in the base, although the configuration changes.
 
+use crate::residuals::excess::rms;
 use crate::solver::robust::huber;
 use ground::geometry::Vec3;
 use ground::robot::Chain;
@@ -68,8 +69,7 @@ impl FixedPoint {
 
     /// Root mean square of the errors, m.
     pub fn rms_m(&self) -> f64 {
-        let squares: f64 = self.errors.iter().map(Vec3::norm_squared).sum();
-        (squares / self.errors.len().max(1) as f64).sqrt()
+        rms(&self.errors)
     }
 
     /// First configuration after a jump of the point, and its size, m. `None` unless one jump explains the errors.

@@ -7,6 +7,7 @@ use crate::encodings::position::metres_by_size;
 use crate::latency::coarse::detect_pose_latency_changes;
 use crate::latency::compensation::with_stamps;
 use crate::latency::correlation::ArmSpeeds;
+use crate::residuals::excess::rms;
 use crate::samples::sampling::FkSequence;
 use crate::solver::noise::Noise;
 use ground::geometry::{Pose, Vec3};
@@ -84,8 +85,7 @@ fn lag_with_stamps(
             return f64::INFINITY;
         }
         subtract_mean(&mut offsets);
-        let squares = offsets.iter().map(Vec3::norm_squared);
-        (squares.sum::<f64>() / offsets.len() as f64).sqrt()
+        rms(&offsets)
     };
     let best = lags(max_lag_s).min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
     let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
