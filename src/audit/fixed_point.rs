@@ -224,7 +224,7 @@ fn errors_at(chain: &Chain, track: &JointTrack, tip_xyz: Vec3) -> FixedPoint {
     let points: Vec<Vec3> = (0..track.len()).step_by(2).map(point).collect();
     let base_xyz = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     let errors = points.iter().map(|point| point - base_xyz).collect();
-    FixedPoint { base_xyz, tip_xyz, errors }
+    FixedPoint { base_xyz, errors }
 }
 
 /// How far the rows are from one point.

@@ -19,8 +19,6 @@ const MIN_JUMP_SHARE: f64 = 0.8;
 pub struct FixedPoint {
     /// In the base, m.
     pub base_xyz: Vec3,
-    /// In the chain's tip, m.
-    pub tip_xyz: Vec3,
     /// Position of the tip's point minus the fixed point, per configuration, m.
     pub errors: Vec<Vec3>,
 }
@@ -62,7 +60,7 @@ impl FixedPoint {
                 .collect();
             let residual: Vec<[f64; 3]> = errors.iter().map(|&error| error.into()).collect();
             weights = huber(&residual, FLOOR_M);
-            found = Some(Self { base_xyz, tip_xyz, errors });
+            found = Some(Self { base_xyz, errors });
         }
         found
     }
@@ -94,7 +92,7 @@ mod tests {
     use super::*;
 
     fn fixed(errors: Vec<Vec3>) -> FixedPoint {
-        FixedPoint { base_xyz: Vec3::zeros(), tip_xyz: Vec3::zeros(), errors }
+        FixedPoint { base_xyz: Vec3::zeros(), errors }
     }
 
     #[test]
