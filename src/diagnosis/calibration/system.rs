@@ -246,7 +246,7 @@ impl CalibrationSystem<'_> {
             }
             // Excluded rotations are exact zeros.
             normal.independent += match source.stream.is_rotation_excluded {
-                true => 3.0 * stream.linear.len() as f64 / stream.weights[0].noise.inflation(),
+                true => stream.weights[0].noise.independent(stream.linear.len()),
                 false => own.independent,
             };
         }

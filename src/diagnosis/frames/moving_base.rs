@@ -159,7 +159,7 @@ fn difference_of_lags(
     let noise = Noise::unweighted(&residual, NOISE_FLOOR_M);
     let along = Vector2::new(-1.0, 1.0);
     let variance = along.dot(&(information.try_inverse()? * along));
-    let independent = 3.0 * residual.len() as f64 / noise.inflation();
+    let independent = noise.independent(residual.len());
     Some(Measured {
         value: latency_s - lag_s,
         std_error: noise.sigma * (variance * noise.inflation()).sqrt(),

@@ -57,7 +57,7 @@ impl HandEyeFit<'_> {
             let step = linear.normal(&linear.weights()).full_step();
             let weights = linear.weights_after(step.as_slice());
             let variance = covariance_of(&linear, &weights)[(WIDTH, WIDTH)];
-            let independent = 3.0 * linear.len() as f64 / weights[0].noise.inflation();
+            let independent = weights[0].noise.independent(linear.len());
             let dof = (independent - linear.width as f64).max(3.0);
             Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof }
         };
@@ -271,7 +271,7 @@ fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<H
     let weights = linear.weights();
     let covariance = covariance_of(&linear, &weights);
     let independent: f64 =
-        weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
+        weights.iter().map(|weight| weight.noise.independent(linear.len())).sum();
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
         let mut norms: Vec<f64> =

@@ -259,7 +259,7 @@ impl LinkFrameChanges {
     /// correlation, which is closer to the truth.
     fn gain_over(&self, without_change: &[Weight]) -> f64 {
         let gains = self.weights.iter().zip(without_change).map(|(weight, other)| {
-            let independent = 3.0 * self.samples as f64 / weight.noise.inflation();
+            let independent = weight.noise.independent(self.samples);
             2.0 * independent * (other.noise.sigma / weight.noise.sigma).ln()
         });
         gains.sum()

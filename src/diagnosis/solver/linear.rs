@@ -229,8 +229,7 @@ impl Linear {
                 add_both(&mut normal.matrix, row, column, squares[(j, i)]);
             }
         }
-        let samples = self.len() as f64;
-        let independent = weights.iter().map(|weight| 3.0 * samples / weight.noise.inflation());
+        let independent = weights.iter().map(|weight| weight.noise.independent(self.len()));
         normal.independent += independent.sum::<f64>();
     }
 

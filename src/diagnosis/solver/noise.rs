@@ -20,7 +20,12 @@ impl Noise {
         1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
     }
 
-    /// Same for a mean of squares of normal noise (`1 + 2·Σ (γ(k)/γ(0))²`).
+    /// Number of independent components of samples with three each.
+    pub fn independent(&self, samples: usize) -> f64 {
+        3.0 * samples as f64 / self.inflation()
+    }
+
+    /// Inflation for a mean of squares of normal noise (`1 + 2·Σ (γ(k)/γ(0))²`).
     pub fn inflation_of_squares(&self) -> f64 {
         let Self { share, rho, .. } = *self;
         1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
