@@ -21,7 +21,6 @@ pub(super) struct CalibrationParameters {
     pub links: Vec<LinkParameter>,
     /// Joints with a free zero.
     pub zeros: Vec<usize>,
-    /// Number of parameters.
     pub width: usize,
     joints: usize,
     pub streams: Vec<StreamParameters>,

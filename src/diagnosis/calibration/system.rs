@@ -108,7 +108,6 @@ impl CalibrationSystem<'_> {
         self.robot.with_deviations(self.path, &deviations, zeros)
     }
 
-    /// Robot with link deviations and zeros.
     pub fn robot_at(&self, state: &CalibrationState) -> Robot {
         self.robot_with(state, &self.zeros(state))
     }
@@ -178,7 +177,6 @@ impl CalibrationSystem<'_> {
         }
     }
 
-    /// The samples of fold `fold`.
     pub fn fold(&self, linearized: &[LinearizedStream], fold: usize) -> Vec<LinearizedStream> {
         let groups: BTreeSet<Option<usize>> =
             self.sources.iter().map(|source| source.stream.held_out_group).collect();

@@ -61,7 +61,6 @@ impl<'a> ComplianceSearch<'a> {
         Some(Self { run, samples, gravity, max_torque, max_speed, torques })
     }
 
-    /// Same search on other samples.
     pub fn on_samples<'b>(&self, samples: &'b [StreamSamples<'b>]) -> ComplianceSearch<'b>
     where
         'a: 'b,
@@ -266,7 +265,6 @@ impl<'a> ComplianceSearch<'a> {
         }
     }
 
-    /// Converts to joint compliance.
     pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
         let compliance = |term: &ComplianceTerm| {
             let ComplianceTerm { column, amount, std_error, dof, .. } = *term;

@@ -30,7 +30,6 @@ impl ComplianceTerm {
         Self { column, kind, amount: [0.0; 2], std_error: 0.0, dof: 3.0 }
     }
 
-    /// Number of coefficients.
     pub fn width(&self) -> usize {
         match self.kind {
             ComplianceKind::Backlash(_) | ComplianceKind::Sag | ComplianceKind::Delay => 1,

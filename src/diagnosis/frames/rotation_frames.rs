@@ -18,7 +18,6 @@ impl CandidateRotations {
         &self.rotations[start..self.ends[sample]]
     }
 
-    /// Removes all candidates.
     pub fn clear(&mut self) {
         self.ends.clear();
         self.rotations.clear();

@@ -179,7 +179,6 @@ pub(crate) struct State {
 }
 
 impl State {
-    /// Number of parameters.
     pub fn width(&self) -> usize {
         self.offsets.len() + self.streams.len() * STREAM_WIDTH
     }
@@ -198,7 +197,6 @@ impl State {
         joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
     }
 
-    /// Values of all parameters.
     pub fn values(&self) -> DVector<f64> {
         let streams = self.streams.iter().flat_map(StreamState::values);
         DVector::from_iterator(self.width(), self.offsets.iter().copied().chain(streams))
@@ -210,7 +208,6 @@ impl State {
         streams.flat_map(|s| [s.round_reference.as_ref(), s.round_tool.as_ref()])
     }
 
-    /// Adds `delta` to the parameters.
     pub fn step(&mut self, delta: &DVector<f64>) {
         let joints = self.offsets.len();
         for (offset, change) in self.offsets.iter_mut().zip(delta.iter()) {
@@ -309,7 +306,6 @@ impl<'a> PoseObservations<'a> {
 }
 
 impl PoseObservations<'_> {
-    /// Number of samples.
     pub fn len(&self) -> usize {
         self.t_s.len()
     }

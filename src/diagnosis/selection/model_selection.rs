@@ -28,27 +28,20 @@ const MAX_EXHAUSTIVE_CAUSES: usize = 4;
 /// For white noise; a larger inflation indicates a wrong model.
 pub(crate) const MAX_NOISE_INFLATION: f64 = 1.5;
 
-/// Possible cause of a residual: parameters that are freed together.
+/// Possible cause of a residual: parameters that are freed together, of a joint of the track or of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Cause {
-    /// Zero offset of a joint of the track.
     Zero(usize),
-    /// Scale or coupling of a joint, by its index in [`State::offsets`].
+    /// Scale or coupling, by its index in [`State::offsets`].
     JointScale(usize),
-    /// Latency of a stream.
     Latency(usize),
-    /// Clock skew of a stream.
     Skew(usize),
-    /// Radial scale of a stream's positions.
     RadialScale(usize),
-    /// Reference frame of a stream.
     Reference(usize),
-    /// Tool frame of a stream.
     Tool(usize),
 }
 
 impl Cause {
-    /// Columns of this cause.
     pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
         let (stream, first, count) = match self {
             Cause::Zero(joint) | Cause::JointScale(joint) => return joint..joint + 1,
@@ -65,7 +58,6 @@ impl Cause {
         start..start + count
     }
 
-    /// Removes the cause from `state`.
     pub fn remove_from(self, state: &mut State) {
         match self {
             Cause::Zero(joint) | Cause::JointScale(joint) => state.offsets[joint] = 0.0,
@@ -292,7 +284,6 @@ pub(crate) struct CandidateCauses {
 }
 
 impl CandidateCauses {
-    /// All causes.
     pub fn all(&self) -> Vec<Cause> {
         self.always.iter().chain(&self.optional).copied().collect()
     }
@@ -525,7 +516,6 @@ pub(crate) fn select_from_starts(
     ranked(continued).into_iter().next()
 }
 
-/// Number of rounds.
 struct Rounds {
     /// First rounds with all causes free.
     all_free: usize,

@@ -70,7 +70,6 @@ impl Linear {
         self.floor.iter_mut().zip(floors).for_each(|(floor, other)| *floor = floor.max(*other));
     }
 
-    /// Reserves memory for more samples.
     pub fn reserve(&mut self, samples: usize) {
         self.residual.iter_mut().for_each(|column| column.reserve(samples));
         self.design.reserve(samples * 3 * self.kinds() * self.width);
@@ -86,7 +85,6 @@ impl Linear {
         Rows { values: &mut self.design[start..], width: self.width }
     }
 
-    /// Number of samples.
     pub fn len(&self) -> usize {
         self.residual.first().map_or(0, Vec::len)
     }
@@ -124,7 +122,6 @@ impl Linear {
         (0..self.kinds()).map(of_kind).collect()
     }
 
-    /// Selects samples by index.
     pub fn subset(&self, samples: &[usize]) -> Self {
         let mut subset_of = Self::new(self.width, &self.floor);
         let each = 3 * self.kinds() * self.width;
@@ -146,7 +143,6 @@ impl Linear {
         self.residual.iter().zip(&self.floor).map(of_kind).collect()
     }
 
-    /// Unit weights.
     pub fn even_weights(&self) -> Vec<Weight> {
         let noise = Noise { sigma: 1.0, share: 0.0, rho: 0.0 };
         self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
@@ -378,7 +374,6 @@ fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
 }
 
 impl Weight {
-    /// Selects samples by index.
     pub fn subset(&self, samples: &[usize]) -> Self {
         Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
     }
@@ -408,7 +403,6 @@ pub(crate) struct Normal {
 }
 
 impl Normal {
-    /// Equations without samples.
     pub fn zeros(width: usize) -> Self {
         Self {
             matrix: DMatrix::zeros(width, width),
@@ -458,7 +452,6 @@ impl Normal {
         self.step_from_zero(&Vec::from_iter(0..self.right.len()))
     }
 
-    /// Cost after a step.
     pub fn cost_after(&self, step: &DVector<f64>) -> f64 {
         self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
     }

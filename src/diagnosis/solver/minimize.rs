@@ -32,7 +32,6 @@ impl NormalEquations {
         Self { triangle, rows: Default::default(), right, cost }
     }
 
-    /// Equations without residuals.
     pub fn zeros(width: usize) -> Self {
         let triangle = DMatrix::zeros(width, width);
         Self { triangle, right: DVector::zeros(width), cost: 0.0, rows: Default::default() }
@@ -79,7 +78,6 @@ impl NormalEquations {
         self.rows = rows;
     }
 
-    /// Sum of squares.
     pub fn cost(&self) -> f64 {
         self.cost
     }
@@ -120,7 +118,6 @@ pub(crate) trait LeastSquares {
     /// `None` if the state is not valid.
     fn linearize(&self, state: &Self::State) -> Option<NormalEquations>;
 
-    /// State after a step.
     fn moved(&self, state: &Self::State, step: &[f64]) -> Self::State;
 }
 
