@@ -61,7 +61,7 @@ impl ComplianceSystem {
 
     /// Degrees of freedom besides the parameters.
     pub fn dof(&self) -> f64 {
-        (self.normal.independent - self.normal.right.len() as f64).max(3.0)
+        self.normal.dof(self.normal.right.len())
     }
 
     /// Cost with the best values of these coefficients.

@@ -396,7 +396,7 @@ pub(crate) fn frame_estimate(
         _ => (stream_state.reference, stream_state.round_reference),
     };
     let twist = twist_of(&frame);
-    let dof = linear.dof(parameters.len());
+    let dof = linear.normal.dof(parameters.len());
     let tuned = moved.values().rows(own.start, width).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
     let is_tool = matches!(cause, Cause::Tool(_));

@@ -31,7 +31,7 @@ pub(crate) fn frames_with_links(
         }
         let covariance = normal.matrix.clone().cholesky()?.inverse();
         let step = &covariance * &normal.right;
-        let dof = (normal.independent - linear.width as f64).max(3.0);
+        let dof = normal.dof(linear.width);
         let estimate = |(frame, is_free): (Frame, bool)| {
             let centre = Pose::from_parts(columns.centre.into(), Default::default());
             let (before, about) = match frame {

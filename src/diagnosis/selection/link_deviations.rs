@@ -347,7 +347,7 @@ impl DeviationModel {
         let mut model = Self { normal: Normal::zeros(kinds.len()), kinds, joints, dof: 3.0 };
         for _ in 0..4 {
             let normal = linear.normal(&weights);
-            model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
+            model.dof = normal.dof(model.kinds.len());
             model.normal.matrix = columns.tr_mul(&normal.matrix) * &columns;
             model.normal.right = columns.tr_mul(&normal.right);
             let Some(fit) = model.fit_with(&every, &model.uniform_sizes(1e-3)) else { break };

@@ -237,11 +237,6 @@ impl Linearized {
         linear.information(weights)
     }
 
-    /// Independent residual components minus parameters.
-    pub fn dof(&self, parameters: usize) -> f64 {
-        (self.normal.independent - parameters as f64).max(3.0)
-    }
-
     /// Effective degrees of freedom along `influence`.
     fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>) -> f64 {
         let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
@@ -251,7 +246,7 @@ impl Linearized {
             sum += squares.0;
             variance += squares.1;
         }
-        (2.0 * sum * sum / variance).clamp(3.0, self.dof(parameters.len()))
+        (2.0 * sum * sum / variance).clamp(3.0, self.normal.dof(parameters.len()))
     }
 
     /// Estimate of `parameters[which]` with `parameters` free. `None` if not observable.

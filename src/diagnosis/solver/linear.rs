@@ -452,6 +452,11 @@ impl Normal {
         self.step_from_zero(&Vec::from_iter(0..self.right.len()))
     }
 
+    /// Degrees of freedom besides this number of parameters.
+    pub fn dof(&self, parameters: usize) -> f64 {
+        (self.independent - parameters as f64).max(3.0)
+    }
+
     pub fn cost_after(&self, step: &DVector<f64>) -> f64 {
         self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
     }
