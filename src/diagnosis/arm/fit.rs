@@ -91,18 +91,18 @@ pub(super) fn fit(
     decoded: &[&DecodedStream],
     observations: &[&PoseObservations],
     corrected: &CorrectedJoints,
-    with_offsets: bool,
 ) -> Option<ArmFit> {
     if decoded.is_empty() {
         return None;
     }
+    let with_offsets = !corrected.is_derived;
     FULL_FITS.fetch_add(1, Ordering::Relaxed);
     let fit_with = |may_confound_frames: bool| {
         let candidates = |decoded: &[&DecodedStream]| CandidateCauses {
             may_confound_frames,
-            ..candidate_causes(decoded, corrected, with_offsets)
+            ..candidate_causes(decoded, corrected)
         };
-        let start = common_start(decoded, corrected, with_offsets, &candidates);
+        let start = common_start(decoded, corrected, &candidates);
         let candidates = candidates(decoded);
         let model = match start {
             Start::Final(model) => *model,
@@ -373,11 +373,8 @@ fn with_significant_causes(
     plain
 }
 
-fn candidate_causes(
-    decoded: &[&DecodedStream],
-    corrected: &CorrectedJoints,
-    with_offsets: bool,
-) -> CandidateCauses {
+fn candidate_causes(decoded: &[&DecodedStream], corrected: &CorrectedJoints) -> CandidateCauses {
+    let with_offsets = !corrected.is_derived;
     let (mut always, mut optional) = (Vec::new(), Vec::new());
     if with_offsets {
         let dof = corrected.track.dof;
@@ -425,12 +422,9 @@ enum Start {
 fn common_start(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
-    with_offsets: bool,
     candidates: &dyn Fn(&[&DecodedStream]) -> CandidateCauses,
 ) -> Start {
-    let start = |stream: &DecodedStream| {
-        best_start(stream, corrected, with_offsets, &candidates(&[stream]))
-    };
+    let start = |stream: &DecodedStream| best_start(stream, corrected, &candidates(&[stream]));
     if let [only] = decoded {
         return start(only);
     }
@@ -452,7 +446,6 @@ fn common_start(
 fn best_start(
     decoded: &DecodedStream,
     corrected: &CorrectedJoints,
-    with_offsets: bool,
     candidates: &CandidateCauses,
 ) -> Start {
     /// Smaller lags lead to the same model as none.
@@ -469,7 +462,7 @@ fn best_start(
     };
     let mut starts: Vec<State> = Vec::new();
     for &lag_s in &lags {
-        if !with_offsets {
+        if corrected.is_derived {
             starts.push(start(&corrected.offsets, StreamState::at_latency(lag_s)));
             continue;
         }

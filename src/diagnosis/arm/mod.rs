@@ -114,7 +114,7 @@ impl<'a> EncodingSearch<'a> {
             position_encodings(corrected.approximate_track(), self.streams, self.max_lag_s)
         });
         let position_encodings = reestimated.as_ref().unwrap_or(&self.position_encodings);
-        diagnose(self.joints, &corrected, self.streams, position_encodings, true)
+        diagnose(self.joints, &corrected, self.streams, position_encodings)
     }
 
     fn as_logged(&self) -> &EncodingResult {
@@ -124,7 +124,7 @@ impl<'a> EncodingSearch<'a> {
     fn or_standard(&self, result: EncodingResult) -> EncodingResult {
         let corrected = self.corrected(&JointEncoding::default());
         result.or_standard(&self.position_encodings, |standard| {
-            diagnose(self.joints, &corrected, self.streams, standard, true)
+            diagnose(self.joints, &corrected, self.streams, standard)
         })
     }
 
@@ -262,7 +262,7 @@ pub(super) fn diagnose_arm_encoded(
         CorrectedJoints::new(joints, &encoding, &prismatic_columns(joints.dof, streams));
     let position_encodings = position_encodings(corrected.approximate_track(), streams, max_lag_s);
     let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
-        diagnose(joints, &corrected, streams, position_encodings, true)
+        diagnose(joints, &corrected, streams, position_encodings)
     };
     let result = diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
     result.into_diagnosis(Ok(encoding))
@@ -553,7 +553,7 @@ pub fn diagnose_derived(
         let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic).for_derived();
         let position_encodings =
             [PositionEncodingEstimate::estimate(&corrected.track, stream, max_lag_s)];
-        diagnose(joints, &corrected, streams, &position_encodings, false).streams.remove(0)
+        diagnose(joints, &corrected, streams, &position_encodings).streams.remove(0)
     };
     let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
@@ -612,7 +612,6 @@ fn diagnose(
     corrected: &CorrectedJoints,
     streams: &[PoseStream],
     position_encodings: &[PositionEncodingEstimate],
-    with_offsets: bool,
 ) -> EncodingResult {
     let joints = &corrected.track;
     let decoded: Vec<EstimateResult<DecodedStream>> = streams
@@ -623,19 +622,19 @@ fn diagnose(
     let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
     let observations: Vec<&PoseObservations> =
         usable.iter().map(|decoded| &decoded.observations).collect();
-    let fitted = fit(&usable, &observations, corrected, with_offsets);
+    let fitted = fit(&usable, &observations, corrected);
     let fitted = fitted.map(|fitted| with_timings(fitted, &observations));
     let fitted = fitted.as_ref().map(|fitted| {
         let held_out = HeldOut::new(&observations, &fitted.model, &fitted.candidates);
-        let beside_links = match with_offsets {
-            true => BesideLinks::new(fitted, &usable),
-            false => BesideLinks::default(),
+        let beside_links = match corrected.is_derived {
+            false => BesideLinks::new(fitted, &usable),
+            true => BesideLinks::default(),
         };
         (fitted, held_out, beside_links)
     });
     let mut result = EncodingResult::default();
     match &fitted {
-        _ if !with_offsets || are_floating(streams) => {}
+        _ if corrected.is_derived || are_floating(streams) => {}
         Some((fitted, held_out, beside_links)) => {
             result.offsets = joint_offsets(fitted, &usable, joints, held_out, beside_links);
             result.scales = joint_scales(fitted, corrected);

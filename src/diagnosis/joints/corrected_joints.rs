@@ -19,6 +19,8 @@ pub(crate) struct CorrectedJoints {
     pub factors: Vec<f64>,
     /// Maximum speed at rest per joint.
     pub rest_speeds: Vec<f64>,
+    /// Whether the streams are computed from the joint states, so zeros and frames have no errors.
+    pub is_derived: bool,
 }
 
 impl CorrectedJoints {
@@ -42,13 +44,14 @@ impl CorrectedJoints {
             offsets,
             gains,
             factors,
+            is_derived: false,
         }
     }
 
     /// Corrects only names and units, for a stream computed from the joint states.
     pub fn for_derived(self) -> Self {
         let offsets = vec![0.0; self.track.dof];
-        Self { approximate_track: None, offsets, gains: Vec::new(), ..self }
+        Self { approximate_track: None, offsets, gains: Vec::new(), is_derived: true, ..self }
     }
 
     /// Whether the values are neither angles nor lengths, with a zero in their encoding.
