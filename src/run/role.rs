@@ -241,6 +241,9 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     if let Some(found) = ambiguous_role(&topic_words, pose.frame).filter(|_| !is_of_camera) {
         return found;
     }
+    if let Some(word) = camera_of_target(topic) {
+        return (Role::Target, format!("seen by a camera, by 'target' and '{word}' in its name"));
+    }
     if let Some(word) = find_word(&topic_words, DETECTION_WORDS) {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
     }
@@ -309,6 +312,12 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
             "neither its name nor its frames identify the body".to_owned(),
         ),
     }
+}
+
+/// The camera's word in a name of a target's pose in its frame, such as `target2cam` or `T_cam_target`.
+pub(super) fn camera_of_target(topic: &str) -> Option<&'static str> {
+    let words = split_words(&topic.replace('2', "_"));
+    find_word(&words, CAMERA_WORDS).filter(|_| find_word(&words, TARGET_WORDS).is_some())
 }
 
 /// Role of ambiguous names: tracked bodies on a tool, or camera targets and goals. The motion decides.
@@ -380,7 +389,9 @@ fn command_word(topic: &str) -> Option<&'static str> {
     const COMMAND_COLUMN_WORDS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
     let words = decisive_words(topic);
+    let is_detection = camera_of_target(topic).is_some();
     find_word(&words, COMMAND_WORDS)
+        .filter(|_| !is_detection)
         .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
         .or_else(|| command_ending(&words))
 }
@@ -553,6 +564,8 @@ mod tests {
             ("/target_pose", ("camera", Unknown), none, Role::Target),
             ("/target_pose", base, none, Role::Reference),
             ("/aruco_single/pose", base, none, Role::Target),
+            ("target2cam", none, none, Role::Target),
+            ("T_cam_target", none, none, Role::Target),
             ("/vicon/ee_marker/pose", ("vicon", Unknown), none, weak),
             ("/tcp_target", ("mocap", Unknown), none, weak),
             ("/wrist_tag", ("camera_optical", Unknown), none, Role::Target),

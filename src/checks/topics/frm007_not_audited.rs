@@ -138,7 +138,7 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
             why: "never-changes",
             title: "pose never changes",
             message: format!(
-                "all {samples} poses are equal while the joints move the tool by {}; not audited",
+                "all {samples} poses are equal while the arm or body moves by {}; not audited",
                 Unit::Metre.show(*moved_m)
             ),
             fix: "check why it stopped, and record it while the arm moves; if it is of an object, set its role in the config \

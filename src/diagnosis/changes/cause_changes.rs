@@ -18,7 +18,8 @@ use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::{pose_of_twist, twist_of};
 use crate::priors::{
-    FRAME_PRIOR_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+    FRAME_PRIOR_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR, TOOL_PRIOR_M,
+    ZERO_PRIOR, price,
 };
 use crate::residuals::cause_columns::{
     CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
@@ -75,6 +76,11 @@ impl Change {
     /// Minus twice the logarithm of the prior probability of its amount: large opposite changes are improbable.
     fn prior_cost(&self) -> f64 {
         let size = |column: usize| match self.subject {
+            Subject::Frame { frame: Frame::Tool, .. }
+                if Frame::Tool.translation().contains(&column) =>
+            {
+                TOOL_PRIOR_M
+            }
             Subject::Frame { frame, .. } if frame.translation().contains(&column) => FRAME_PRIOR_M,
             Subject::Frame { .. } => RAD_PER_M * FRAME_PRIOR_M,
             Subject::RadialScale { .. } => RADIAL_SCALE_PRIOR,
@@ -522,12 +528,11 @@ impl Candidate {
     }
 
     fn fitted(mut self, streams: &[Stream]) -> Self {
-        /// Amounts alone need two.
-        const MIN_STEPS: usize = 2;
-        const MAX_STEPS: usize = 6;
-        /// Step of a profile, in parts of the run, that ends the fit.
+        const MAX_STEPS: usize = 8;
+        /// Step of a profile, in parts of the run, and of an amount, relative to it, that end the fit.
         const MIN_PROFILE_STEP: f64 = 2e-3;
-        for step in 1..=MAX_STEPS {
+        const MIN_RELATIVE_STEP: f64 = 1e-3;
+        for _ in 0..MAX_STEPS {
             let steady = self.steady(streams);
             let fit = Equations::new(&steady, &self.changes, None).fit(&steady, &self.changes);
             for (it, (half, profile)) in self.changes.iter_mut().zip(&fit.changes) {
@@ -536,12 +541,32 @@ impl Candidate {
             }
             let all = self.frames.iter_mut().flatten();
             all.zip(fit.frames.iter().flatten()).for_each(|(it, more)| *it += more);
-            let of_profiles = fit.changes.iter().flat_map(|(_, profile)| profile);
-            if step >= MIN_STEPS && of_profiles.into_iter().all(|by| by.abs() < MIN_PROFILE_STEP) {
+            let is_small = |(it, (half, profile)): (&Change, &(DVector<f64>, Vec<f64>))| {
+                half.norm() <= MIN_RELATIVE_STEP * it.half.norm()
+                    && profile.iter().all(|by| by.abs() < MIN_PROFILE_STEP)
+            };
+            if self.changes.iter().zip(&fit.changes).all(is_small) {
                 break;
             }
         }
         self
+    }
+
+    /// With changes of tools in the place of those of references, which are rarer. `None` without such changes, or if a tool
+    /// changes as well.
+    fn with_tools(&self, streams: &[Stream]) -> Option<Self> {
+        let mut other = self.clone();
+        for Change { subject, columns, half, .. } in &mut other.changes {
+            match subject {
+                Subject::Frame { frame: Frame::Tool, .. } => return None,
+                Subject::Frame { frame, .. } => *frame = Frame::Tool,
+                _ => continue,
+            }
+            let first = columns.start + Frame::Tool.columns().start;
+            *columns = first..first + columns.len();
+            half.fill(0.0);
+        }
+        (!other.has_changes_of(self)).then(|| other.fitted(streams))
     }
 
     fn score(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> f64 {
@@ -948,6 +973,11 @@ fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<Vec<Chang
     let (_, mut changed) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;
+    }
+    if let Some(other) = changed.with_tools(&streams)
+        && other.score(&streams, &noise) > changed.score(&streams, &noise)
+    {
+        changed = other;
     }
     (!changed.changes.is_empty()).then_some(changed.changes)
 }

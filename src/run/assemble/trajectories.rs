@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use crate::diagnosis::best_lag_peak;
 use crate::finding::Unit;
-use crate::geometry::{Rotation, angle_between};
+use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
-use crate::run::role::{Role, array_role, may_be_poses};
+use crate::run::role::{Role, array_role, camera_of_target, may_be_poses};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
@@ -21,6 +21,9 @@ use super::assembly::Assembly;
 
 /// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
+
+/// A body that moves less may be at rest: an arm's links tremble by tenths of a millimetre.
+const MIN_MOTION_M: f64 = 1e-3;
 
 /// A stream that may be the reference.
 struct Candidate {
@@ -71,9 +74,17 @@ impl SampleErrors {
     }
 }
 
+/// Largest distance from the first pose, m.
+fn motion_m(track: &PoseTrack, rotations: &[Rotation]) -> f64 {
+    let moved_m = |xyz: &Vec3| (xyz - track.xyz[0]).norm();
+    let turned_m = |rotation: &Rotation| LEVER_M * angle_between(&rotations[0], rotation);
+    let all = track.xyz.iter().map(moved_m).chain(rotations.iter().map(turned_m));
+    all.fold(0.0, f64::max)
+}
+
 impl Assembly<'_> {
     /// Makes a pose stream the reference of the others: the caller's, else the one with the smallest errors that
-    /// another follows.
+    /// another follows. Streams that do not follow it are of other bodies, unless none does.
     ///
     /// # Errors
     /// If the caller's reference is not a stream of poses with rotations that change.
@@ -90,11 +101,15 @@ impl Assembly<'_> {
         candidates.sort_by(|a, b| a.errors.total_m().total_cmp(&b.errors.total_m()));
         let arms = candidates.iter().map(|one| self.trajectory(one, &compared));
         let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
-        let is_followed = |arm: &&Arm| self.has_follower(arm);
         // In a log of an arm, a pose stream may have nothing to do with the others.
         let is_without_joints = matches!(no_arm, RunError::NoJointStates { question: None, .. });
-        let first = arms.first().filter(|_| is_without_joints);
-        if let Some(arm) = arms.iter().find(is_followed).or(first).cloned()
+        let first = arms.first().filter(|_| is_without_joints).cloned();
+        let followed = |mut arm: Arm| {
+            let followers = self.followers(&arm);
+            arm.trajectory.as_mut()?.others.clone_from(&followers);
+            (!followers.is_empty()).then_some(arm)
+        };
+        if let Some(arm) = arms.into_iter().find_map(followed).or(first)
             && let Some(Trajectory { stream, why, .. }) = &arm.trajectory
         {
             let reference = &mut self.streams[*stream];
@@ -125,9 +140,10 @@ impl Assembly<'_> {
         };
         // Files have names for other reasons than topics.
         let is_other_topic = |index: &usize| {
+            let topic = &self.streams[*index].topic;
             !is_measured(index)
                 && self.options.reference.is_none()
-                && self.streams[*index].topic.starts_with('/')
+                && (topic.starts_with('/') || camera_of_target(topic).is_some())
         };
         let all =
             (0..self.streams.len()).filter(|index| has_poses(index) && !is_other_topic(index));
@@ -136,12 +152,12 @@ impl Assembly<'_> {
         if measured.len() > 1 { measured } else { all }
     }
 
-    /// Streams of changing poses with rotations.
+    /// Streams of moving bodies with rotations.
     fn reference_candidates(&self, compared: &[usize]) -> Vec<Candidate> {
         let candidate = |&stream: &usize| {
             let logged = self.logged_poses(stream)?;
             let Orientations::Rotations(rotations) = &logged.track.orientation else { return None };
-            if logged.track.t_s.len() < 3 || !logged.track.changes() {
+            if logged.track.t_s.len() < 3 || motion_m(&logged.track, rotations) < MIN_MOTION_M {
                 return None;
             }
             let errors = SampleErrors::of(&logged.track, rotations);
@@ -191,15 +207,17 @@ impl Assembly<'_> {
         Arm { joint_stamps: stamps.clone().into(), tree: Arc::clone(&self.tf), ..arm }
     }
 
-    fn has_follower(&self, arm: &Arm) -> bool {
-        let follows = |stream: usize| {
-            let frames = self.locate_frames(arm, &self.streams[stream]);
-            let source =
-                self.pose_source(stream, arm, &frames, None, (true, &mut Vec::new())).ok()?;
-            let peak = best_lag_peak(&arm.joints, &source.as_stream(), self.options.max_latency_s)?;
-            Some(peak.correlation >= crate::run::MIN_PRESUMED_CORRELATION)
+    /// Streams that move like the arm's body.
+    fn followers(&self, arm: &Arm) -> Vec<usize> {
+        let follows = |stream: &usize| {
+            let frames = self.locate_frames(arm, &self.streams[*stream]);
+            let source = self.pose_source(*stream, arm, &frames, None, (true, &mut Vec::new()));
+            let peak = source.ok().and_then(|source| {
+                best_lag_peak(&arm.joints, &source.as_stream(), self.options.max_latency_s)
+            });
+            peak.is_some_and(|peak| peak.correlation >= crate::run::MIN_PRESUMED_CORRELATION)
         };
-        other_streams(arm).any(|stream| follows(stream) == Some(true))
+        other_streams(arm).filter(follows).collect()
     }
 
     fn has_other_input(&self, arm: &Arm) -> bool {
