@@ -86,8 +86,18 @@ impl<'a> PartValues<'a> {
 
     /// Whether two rows are bitwise equal.
     pub fn is_same(&self, a: usize, b: usize) -> bool {
+        self.has_same_numbers(self.width(), a, b)
+    }
+
+    /// Whether two rows have the same measurement. The orientation of an IMU is computed from its measurements.
+    pub fn is_same_measurement(&self, a: usize, b: usize) -> bool {
+        let count = if matches!(self, PartValues::Imu(_)) { 6 } else { self.width() };
+        self.has_same_numbers(count, a, b)
+    }
+
+    fn has_same_numbers(&self, count: usize, a: usize, b: usize) -> bool {
         let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
-        (0..self.width()).all(|number| same(self.number(a, number), self.number(b, number)))
+        (0..count).all(|number| same(self.number(a, number), self.number(b, number)))
     }
 }
 

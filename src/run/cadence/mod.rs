@@ -310,7 +310,7 @@ impl CadencePart<'_> {
         let (mut same, mut other) = (0, 0);
         for (row, stamp) in self.stamped_rows() {
             match first.get(&stamp) {
-                Some(&earlier) if self.columns.is_same(earlier, row) => same += 1,
+                Some(&earlier) if self.values.is_same_measurement(earlier, row) => same += 1,
                 Some(_) => other += 1,
                 None => {
                     first.insert(stamp, row);

@@ -3,9 +3,10 @@
 use std::collections::HashSet;
 
 use crate::run::arm::Arm;
+use crate::run::part_series::PartValues;
 use crate::run::role::is_detection_frame;
 use crate::run::tf_tree::strip_slash;
-use crate::stream::{Column, Columns, JointColumns, PoseColumns, Times};
+use crate::stream::{Columns, JointColumns, PoseColumns, Times};
 
 pub(super) struct CadencePart<'a> {
     /// Index of the stream's part.
@@ -15,7 +16,7 @@ pub(super) struct CadencePart<'a> {
     pub times: &'a Times,
     /// Rows in receive order.
     pub rows: RowOrder,
-    pub columns: PartColumns<'a>,
+    pub values: PartValues<'a>,
 }
 
 pub(super) struct RowOrder {
@@ -32,15 +33,11 @@ impl CadencePart<'_> {
     }
 
     /// Splits by publisher, given the rows of the second.
-    pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
+    pub fn by_publisher(&self, second: &HashSet<usize>) -> [Self; 2] {
         let (of_second, of_first): (Vec<usize>, Vec<usize>) =
             self.rows.iter().partition(|row| second.contains(row));
-        let other = CadencePart {
-            rows: RowOrder::by_receive_time(self.times, of_second),
-            columns: self.columns.clone(),
-            ..self
-        };
-        [CadencePart { rows: RowOrder::by_receive_time(self.times, of_first), ..self }, other]
+        let part = |rows| Self { rows: RowOrder::by_receive_time(self.times, rows), ..*self };
+        [of_first, of_second].map(part)
     }
 }
 
@@ -68,77 +65,27 @@ impl RowOrder {
     }
 }
 
-#[derive(Clone)]
-pub(super) enum PartColumns<'a> {
-    Joints(&'a JointColumns),
-    Poses(&'a PoseColumns),
-    Numbers([&'a Column<[f64; 3]>; 2]),
-    Array(&'a [f64], usize),
-}
-
-impl PartColumns<'_> {
-    /// Whether two rows have the same content.
-    pub fn is_same(&self, a: usize, b: usize) -> bool {
-        let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
-        match self {
-            PartColumns::Joints(joints) => {
-                joints.joints.iter().all(|joint| same(joint.position[a], joint.position[b]))
-            }
-            PartColumns::Poses(poses) => {
-                poses.xyz[a] == poses.xyz[b] && poses.q_xyzw[a] == poses.q_xyzw[b]
-            }
-            PartColumns::Numbers(columns) => columns.iter().all(|column| column[a] == column[b]),
-            PartColumns::Array(values, width) => {
-                values[a * width..(a + 1) * width] == values[b * width..(b + 1) * width]
-            }
-        }
-    }
-}
-
 pub(super) fn split_parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<CadencePart<'a>> {
-    let whole = |piece: usize, times: &'a Times, columns: PartColumns<'a>| CadencePart {
-        piece,
-        frame: None,
-        is_audited: true,
-        times,
-        rows: RowOrder::all(times),
-        columns,
-    };
-    match columns {
-        Columns::Joints(joints) if is_complete(joints) => {
-            vec![whole(0, &joints.times, PartColumns::Joints(joints))]
+    let mut parts = Vec::new();
+    for (piece, times) in columns.times().into_iter().enumerate() {
+        let Some(values) = PartValues::of(columns, piece) else { continue };
+        let rows = RowOrder::all(times);
+        let whole = CadencePart { piece, frame: None, is_audited: true, times, rows, values };
+        match columns {
+            Columns::Joints(joints) if !is_complete(joints) => {
+                let of_sender =
+                    |rows| CadencePart { rows: RowOrder::by_receive_time(times, rows), ..whole };
+                parts.extend(rows_by_sender(joints).into_iter().map(of_sender));
+            }
+            Columns::Transforms(poses) => parts.push(CadencePart {
+                frame: Some(strip_slash(&poses[piece].child_frame_id)),
+                is_audited: is_of_an_arm(&poses[piece], arms),
+                ..whole
+            }),
+            _ => parts.push(whole),
         }
-        Columns::Joints(joints) => rows_by_sender(joints)
-            .into_iter()
-            .map(|rows| CadencePart {
-                rows: RowOrder::by_receive_time(&joints.times, rows),
-                ..whole(0, &joints.times, PartColumns::Joints(joints))
-            })
-            .collect(),
-        Columns::Poses(poses) => {
-            let poses = poses.iter().enumerate();
-            poses
-                .map(|(piece, poses)| whole(piece, &poses.times, PartColumns::Poses(poses)))
-                .collect()
-        }
-        Columns::Transforms(transforms) => {
-            let transforms = transforms.iter().enumerate();
-            transforms
-                .map(|(piece, poses)| CadencePart {
-                    frame: Some(strip_slash(&poses.child_frame_id)),
-                    is_audited: is_of_an_arm(poses, arms),
-                    ..whole(piece, &poses.times, PartColumns::Poses(poses))
-                })
-                .collect()
-        }
-        Columns::Imu(imu) => {
-            vec![whole(0, &imu.times, PartColumns::Numbers([&imu.gyro, &imu.accel]))]
-        }
-        Columns::Array(array) => {
-            vec![whole(0, &array.times, PartColumns::Array(&array.values, array.width))]
-        }
-        Columns::Text(_) => Vec::new(),
     }
+    parts
 }
 
 /// Whether a transform is between the arm's links; without an arm, whether it is not a camera detection.
