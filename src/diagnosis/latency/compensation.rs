@@ -46,16 +46,11 @@ impl CompensatedRun {
         let tracks: Vec<Option<PoseTrack>> = found
             .map(|(stream, found)| compensate_latency(stream, &found.latency_profile))
             .collect();
-        let profile = |(s, found): (usize, &PoseDiagnosis)| match (&found.latency_profile, steps[s])
-        {
-            // Already relative to the lowest level.
-            (found, Some(steps)) => Ok(steps.profile(found)),
-            (Ok(unsteady), None) if unsteady.is_unsteady => {
-                Ok(unsteady.clone().relative_to_typical(&streams[s].track.t_s))
-            }
-            (found, None) => found.clone(),
+        let profile = |s: usize| {
+            let found = &diagnosis.streams[s].latency_profile;
+            reported_profile(found, steps[s], &streams[s].track.t_s)
         };
-        let profiles = diagnosis.streams.iter().enumerate().map(profile).collect();
+        let profiles = (0..streams.len()).map(profile).collect();
         let diagnosis = match tracks.iter().all(Option::is_none) {
             true => diagnosis,
             false => diagnose_arm(run.joints, &with_tracks(&streams, &tracks), run.max_lag_s),
@@ -112,15 +107,13 @@ impl CoarselyCompensated {
         likeliest
     }
 
-    /// Without ramps of streams whose latency is constant: their speeds differ for another reason.
+    /// With the confirmed changes only.
     fn confirmed(self, run: &ArmRun) -> Self {
-        let is_confirmed = |(change, found): (&Option<CoarseLatencyChange>, &PoseDiagnosis)| {
-            change.as_ref().and_then(CoarseLatencyChange::ramp).is_none()
-                || found.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
+        let confirmed = |(change, found): (&Option<CoarseLatencyChange>, &PoseDiagnosis)| {
+            change.clone().filter(|it| is_confirmed(it, &found.latency_profile))
         };
         let both = self.changes.iter().zip(&self.diagnosis.streams);
-        let confirmed: Vec<Option<CoarseLatencyChange>> =
-            both.map(|both| both.0.clone().filter(|_| is_confirmed(both))).collect();
+        let confirmed: Vec<Option<CoarseLatencyChange>> = both.map(confirmed).collect();
         match confirmed == self.changes {
             true => self,
             false => Self::new(run, confirmed),
@@ -157,6 +150,11 @@ impl CoarselyCompensated {
     }
 }
 
+/// Whether a change is not a ramp of a stream whose latency is constant: its speeds differ for another reason.
+fn is_confirmed(change: &CoarseLatencyChange, profile: &EstimateResult<LatencyProfile>) -> bool {
+    change.ramp().is_none() || profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
+}
+
 /// The estimated latency, unless the change has steps.
 fn with_profile(
     change: &Option<CoarseLatencyChange>,
@@ -170,6 +168,22 @@ fn with_profile(
             .and_then(LatencyRamp::from_profile)
             .map(CoarseLatencyChange::Ramp)
             .or(change.clone()),
+    }
+}
+
+/// Profile with the removed steps, or relative to the typical latency at the stamps.
+fn reported_profile(
+    found: &EstimateResult<LatencyProfile>,
+    steps: Option<&LatencySteps>,
+    t_s: &[f64],
+) -> EstimateResult<LatencyProfile> {
+    match (found, steps) {
+        // Already relative to the lowest level.
+        (found, Some(steps)) => Ok(steps.profile(found)),
+        (Ok(unsteady), None) if unsteady.is_unsteady => {
+            Ok(unsteady.clone().relative_to_typical(t_s))
+        }
+        (found, None) => found.clone(),
     }
 }
 
@@ -213,61 +227,39 @@ pub fn diagnose_imu_with_latency_compensation(
     let conventions = ImuConventions::detect(joints, &stream, max_lag_s);
     let corrected = conventions.convert(stream.track);
     let stream = ImuStream { track: &corrected, ..stream };
-    let of_rows = |rows: &[(usize, f64)]| {
-        let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
-        let ImuTrack { orientation, gyro, accel, .. } = stream.track;
-        ImuTrack {
-            t_s,
-            orientation: rows.iter().filter_map(|&row| orientation.get(row).copied()).collect(),
-            gyro: at_rows(gyro, &rows),
-            accel: at_rows(accel, &rows),
-        }
-    };
     let diagnosed = |track: &ImuTrack, removed_ramp: Option<&LatencyRamp>| {
         let stream = ImuStream { track, removed_ramp, ..stream };
         diagnose_converted_imu(joints, &stream, &conventions, max_lag_s)
     };
     let t_s = &stream.track.t_s;
     let diagnose_with = |change: &Option<CoarseLatencyChange>| match change {
-        Some(change) => diagnosed(&of_rows(&change.compensated(t_s)), change.ramp()),
+        Some(change) => {
+            diagnosed(&imu_with_rows(stream.track, &change.compensated(t_s)), change.ramp())
+        }
         None => diagnosed(stream.track, None),
     };
     let mut change = detect_imu_latency_changes(joints, &stream, max_lag_s);
     let mut diagnosis = diagnose_with(&change);
-    let unsteady = |it: &ImuDiagnosis| {
-        it.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady).cloned()
-    };
-    // As for poses.
-    let is_confirmed =
-        |it: &CoarseLatencyChange| it.ramp().is_none() || unsteady(&diagnosis).is_some();
-    let better = with_profile(&change.clone().filter(is_confirmed), &diagnosis.latency_profile);
+    let confirmed = change.clone().filter(|it| is_confirmed(it, &diagnosis.latency_profile));
+    let better = with_profile(&confirmed, &diagnosis.latency_profile);
     if better != change {
         diagnosis = diagnose_with(&better);
         change = better;
     }
-    let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
-    if steps.is_none() && change.is_some() && unsteady(&diagnosis).is_none() {
+    if change.as_ref().is_some_and(|it| !is_confirmed(it, &diagnosis.latency_profile)) {
         diagnosis = diagnose_with(&None);
     }
-    let profile = unsteady(&diagnosis);
     // As for poses, only steps are removed.
-    let step_profile = steps.map(|steps| steps.profile(&diagnosis.latency_profile));
-    let Some(profile) = profile else {
-        let latency_profile = step_profile.map_or(diagnosis.latency_profile.clone(), Ok);
+    let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
+    let latency_profile = reported_profile(&diagnosis.latency_profile, steps, t_s);
+    let unsteady = diagnosis.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
+    let Some(unsteady) = unsteady else {
         return ImuDiagnosis { latency_profile, ..diagnosis };
     };
-    let rows = match steps.map(|steps| steps.compensated(t_s)) {
-        None => profile.compensated(t_s),
-        // The profile refers to unstepped stamps.
-        Some(rows) => {
-            let unstepped_s: Vec<f64> = rows.iter().map(|&(_, t_s)| t_s).collect();
-            let compensated = profile.compensated(&unstepped_s).into_iter();
-            compensated.map(|(at, t_s)| (rows[at].0, t_s)).collect()
-        }
-    };
-    let steady = diagnosed(&of_rows(&rows), None);
-    let profile = step_profile.unwrap_or_else(|| profile.relative_to_typical(t_s));
-    ImuDiagnosis { latency_profile: Ok(profile), ..steady }
+    let step_free = steps.map(|steps| imu_with_rows(stream.track, &steps.compensated(t_s)));
+    let track = step_free.as_ref().unwrap_or(stream.track);
+    let steady = diagnosed(&imu_with_rows(track, &unsteady.compensated(&track.t_s)), None);
+    ImuDiagnosis { latency_profile, ..steady }
 }
 
 /// Poses with stamps corrected to a constant latency. `None` if it is constant.
@@ -310,4 +302,15 @@ fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     });
     let (xyz, orientation) = (at_rows(&track.xyz, &rows), track.orientation.at_rows(&rows));
     PoseTrack { t_s, xyz, orientation, declared }
+}
+
+fn imu_with_rows(track: &ImuTrack, rows: &[(usize, f64)]) -> ImuTrack {
+    let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
+    let ImuTrack { orientation, gyro, accel, .. } = track;
+    ImuTrack {
+        t_s,
+        orientation: rows.iter().filter_map(|&row| orientation.get(row).copied()).collect(),
+        gyro: at_rows(gyro, &rows),
+        accel: at_rows(accel, &rows),
+    }
 }
