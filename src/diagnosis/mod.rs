@@ -163,8 +163,8 @@ pub use latency::compensation::{compensate_latency, diagnose_imu_with_latency_co
 pub use latency::correlation::LagPeak;
 pub use latency::delay_jitter::DelayJitter;
 pub use latency::late_joints::{LateJoints, with_earlier_joints};
+pub use latency::piecewise::PiecewiseLatency;
 pub use latency::profile::{LatencyProfile, LatencyShape, LatencyStep};
-pub use latency::ramp::LatencyRamp;
 pub use latency::residual_by_latency::{LatencyResidual, residual_by_latency};
 pub use model::moving_frame::MovingFrame;
 pub use model::observability::{Observability, StreamParameter, WeakDirection};
@@ -260,7 +260,7 @@ pub struct PoseStream<'a> {
     /// Whether stamps are copies of the joints'.
     pub stamps_copied: bool,
     /// Latency ramp already subtracted from the stamps, to be reported with the remaining profile.
-    pub removed_ramp: Option<&'a LatencyRamp>,
+    pub removed_ramp: Option<&'a PiecewiseLatency>,
     /// Frame of the logged poses, if it moves in the base. `track` is transformed to the base.
     pub moving_frame: Option<&'a MovingFrame>,
     /// Cause of a turn about the last joint's axis.

@@ -1,7 +1,9 @@
 //! Steps of the joint states' clock. All other streams appear to step in the opposite direction at the same time.
 
 use super::estimate::ArmStreamsDiagnosis;
-use crate::diagnosis::{LatencyProfile, LatencyShape, LatencyStep, Measured, monotonic_rows};
+use crate::diagnosis::{
+    LatencyProfile, LatencyShape, LatencyStep, Measured, PiecewiseLatency, monotonic_rows,
+};
 use crate::run::{Arm, JointSamples};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::stream::JointTrack;
@@ -103,9 +105,8 @@ impl OtherClock<'_> {
 
     /// Profile of the joint states with `steps` of this stream, relative to their smallest latency.
     fn profile_of_joints(&self, steps: &[LatencyStep]) -> Option<LatencyProfile> {
-        let first = *self.profile.levels.first()?;
-        let mut levels = vec![first];
-        let mut level_s = first.1;
+        let (_, mut level_s) = *self.profile.levels.knots.first()?;
+        let mut levels = vec![(f64::NEG_INFINITY, level_s)];
         for step in steps {
             level_s += step.size_s.value;
             levels.push((step.at_s, level_s));
@@ -113,6 +114,7 @@ impl OtherClock<'_> {
         let latency_s = |level: &&(f64, f64)| (self.latency_s + level.1).abs();
         let least = levels.iter().min_by(|a, b| latency_s(a).total_cmp(&latency_s(b)));
         let least_s = least.map_or(0.0, |level| level.1);
+        levels.iter_mut().for_each(|(_, level_s)| *level_s = least_s - *level_s);
         let opposite =
             |step: &LatencyStep| LatencyStep { size_s: step.size_s.scaled(-1.0), ..*step };
         let windows = self.profile.windows.iter();
@@ -122,7 +124,7 @@ impl OtherClock<'_> {
             shape: LatencyShape::Steps,
             skew: 0.0,
             steps: steps.iter().map(opposite).collect(),
-            levels: levels.iter().map(|&(at_s, level_s)| (at_s, least_s - level_s)).collect(),
+            levels: PiecewiseLatency::with_steps(&levels),
             windows: windows.map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
             parameters: self.profile.parameters,
         })
@@ -197,8 +199,9 @@ pub(super) fn samples_with_true_stamps<'a>(
 /// Rows with their true stamps.
 fn rows_in_true_order(t_s: &[f64], profile: &LatencyProfile) -> Vec<(usize, f64)> {
     let latency_s = |t_s: f64| {
-        let level = profile.levels.partition_point(|level| level.0 < t_s).saturating_sub(1);
-        profile.levels.get(level).map_or(0.0, |level| level.1)
+        let knots = &profile.levels.knots;
+        let level = knots.partition_point(|knot| knot.0 < t_s).saturating_sub(1);
+        knots.get(level).map_or(0.0, |knot| knot.1)
     };
     monotonic_rows(t_s.iter().map(|t_s| t_s - latency_s(*t_s)).enumerate())
 }
@@ -215,7 +218,7 @@ mod tests {
             shape: LatencyShape::Steps,
             skew: 0.0,
             steps: vec![LatencyStep { at_s, size_s }],
-            levels: vec![(0.0, levels[0]), (at_s, levels[1])],
+            levels: PiecewiseLatency::with_steps(&[(0.0, levels[0]), (at_s, levels[1])]),
             windows: Vec::new(),
             parameters: 2,
         }

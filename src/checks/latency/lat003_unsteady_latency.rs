@@ -120,15 +120,14 @@ fn levels_around_change(
     profile: &LatencyProfile,
     latency: Option<&Measured>,
 ) -> Option<(f64, f64, [f64; 2])> {
-    let latency_s = latency?.value;
+    let (latency_s, knots) = (latency?.value, &profile.levels.knots);
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
     match (profile.shape, profile.steps.as_slice()) {
         (LatencyShape::Steps, [jump]) => {
-            let ends = (level(profile.levels.first())?, level(profile.levels.last())?);
-            Some((ends.0, ends.1, [jump.at_s; 2]))
+            Some((level(knots.first())?, level(knots.last())?, [jump.at_s; 2]))
         }
         (LatencyShape::Ramp { from_s, to_s }, _) => {
-            let at = |t_s: f64| level(profile.levels.iter().find(|(at_s, _)| *at_s == t_s));
+            let at = |t_s: f64| level(knots.iter().find(|(at_s, _)| *at_s == t_s));
             Some((at(from_s)?, at(to_s)?, [from_s, to_s]))
         }
         _ => None,

@@ -1,7 +1,7 @@
 //! Estimates for an IMU.
 
 use super::ImuConventions;
-use crate::{EncodingEstimate, EstimateResult, LatencyProfile, LatencyRamp, NotObservable};
+use crate::{EncodingEstimate, EstimateResult, LatencyProfile, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
 use ground::stats::{Measured, MeasuredLength};
@@ -21,7 +21,7 @@ pub struct ImuStream<'a> {
     /// Logged `link_from_imu`, if present.
     pub link_from_imu: Option<Pose>,
     /// Latency already compensated in the stamps, to be reported with the rest.
-    pub removed_ramp: Option<&'a LatencyRamp>,
+    pub removed_ramp: Option<&'a PiecewiseLatency>,
     /// Rms rotation error of FK against the arm's poses that no cause explains; 0 if unknown.
     pub fk_error_rad: f64,
 }

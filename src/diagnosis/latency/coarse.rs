@@ -6,7 +6,8 @@
 
 use super::correlation::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, norm_series};
 use super::lag_windows::{LagWindow, lag_windows};
-use super::ramp::{LatencyRamp, RampFit};
+use super::piecewise::PiecewiseLatency;
+use super::ramp::RampFit;
 use super::speed_residual::{
     MAX_SPEED_RESIDUAL_SHARE, fit_rows, squared_deviation, squared_residual,
 };
@@ -27,7 +28,7 @@ pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
     /// Piecewise linear latency.
-    Ramp(LatencyRamp),
+    Ramp(PiecewiseLatency),
 }
 
 impl CoarseLatencyChange {
@@ -48,7 +49,7 @@ impl CoarseLatencyChange {
     }
 
     /// The piecewise linear latency, if any.
-    pub fn ramp(&self) -> Option<&LatencyRamp> {
+    pub fn ramp(&self) -> Option<&PiecewiseLatency> {
         match self {
             Self::Steps(_) => None,
             Self::Ramp(gradual) => Some(gradual),
@@ -118,7 +119,7 @@ fn detect_changes(
     let steps =
         detect_steps(arm, stream, &followed).filter(|steps| steps.swing_s() >= MIN_VARIATION_S);
     let Some(RampFit { ramp: gradual, residual: of_gradual, line_residual: of_line }) =
-        LatencyRamp::fit_windows(arm, stream, &followed)
+        PiecewiseLatency::fit_windows(arm, stream, &followed)
     else {
         return steps.map(CoarseLatencyChange::Steps);
     };
@@ -183,9 +184,9 @@ pub(crate) mod tests {
             let found = changed(late);
             let gradual = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
             for t_s in (1..39).map(f64::from) {
-                let off_s = gradual.lag_s(t_s) - late(t_s);
+                let off_s = gradual.at(t_s) - late(t_s);
                 assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");
-                let straight_s = t_s - gradual.lag_s(t_s);
+                let straight_s = t_s - gradual.at(t_s);
                 assert!((gradual.logged_s(straight_s) - t_s).abs() < 1e-6, "{size_s} at {t_s} s");
             }
         }

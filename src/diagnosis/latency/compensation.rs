@@ -7,7 +7,7 @@ use crate::latency::steps::LatencySteps;
 use crate::residuals::comparison::residual_of_shares_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream, detect_imu_latency_changes,
+    LatencyProfile, PiecewiseLatency, PoseDiagnosis, PoseStream, detect_imu_latency_changes,
     detect_pose_latency_changes,
 };
 use ground::geometry::Pose;
@@ -160,14 +160,10 @@ fn with_profile(
     change: &Option<CoarseLatencyChange>,
     profile: &EstimateResult<LatencyProfile>,
 ) -> Option<CoarseLatencyChange> {
-    match change {
-        Some(CoarseLatencyChange::Steps(_)) => change.clone(),
-        _ => profile
-            .as_ref()
-            .ok()
-            .and_then(LatencyRamp::from_profile)
-            .map(CoarseLatencyChange::Ramp)
-            .or(change.clone()),
+    let varies = |it: &&LatencyProfile| it.is_unsteady && it.levels.knots.len() > 1;
+    match (change, profile.as_ref().ok().filter(varies)) {
+        (Some(CoarseLatencyChange::Steps(_)), _) | (_, None) => change.clone(),
+        (_, Some(profile)) => Some(CoarseLatencyChange::Ramp(profile.levels.clone())),
     }
 }
 
@@ -227,7 +223,7 @@ pub fn diagnose_imu_with_latency_compensation(
     let conventions = ImuConventions::detect(joints, &stream, max_lag_s);
     let corrected = conventions.convert(stream.track);
     let stream = ImuStream { track: &corrected, ..stream };
-    let diagnosed = |track: &ImuTrack, removed_ramp: Option<&LatencyRamp>| {
+    let diagnosed = |track: &ImuTrack, removed_ramp: Option<&PiecewiseLatency>| {
         let stream = ImuStream { track, removed_ramp, ..stream };
         diagnose_converted_imu(joints, &stream, &conventions, max_lag_s)
     };

@@ -6,6 +6,7 @@ pub(crate) mod correlation;
 pub(crate) mod delay_jitter;
 pub(crate) mod lag_windows;
 pub(crate) mod late_joints;
+pub(crate) mod piecewise;
 pub(crate) mod profile;
 pub(crate) mod ramp;
 pub(crate) mod residual_by_latency;

@@ -27,7 +27,7 @@ mod tests;
 mod windows;
 
 use crate::samples::sampling::{monotonic_rows, range_of};
-use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
+use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
 use shapes::{Basis, Fit, likeliest_shape};
@@ -68,9 +68,8 @@ pub struct LatencyProfile {
     pub skew: f64,
     /// In time order. Empty for other kinds.
     pub steps: Vec<LatencyStep>,
-    /// Time and latency. Constant from each time on if there are steps, else linear in between. If
-    /// unsteady, relative to the latency estimated after compensation.
-    pub levels: Vec<(f64, f64)>,
+    /// Over time. If unsteady, relative to the latency estimated after compensation.
+    pub levels: PiecewiseLatency,
     /// Time and latency of each window.
     pub windows: Vec<(f64, Measured)>,
     /// Number of parameters beyond a constant latency and a skew.
@@ -118,17 +117,13 @@ impl LatencyProfile {
                 let steps: Vec<LatencyStep> = times_s.iter().enumerate().map(step).collect();
                 let swing_s = largest(&steps).unwrap_or(size_s(0, 0));
                 let starts_s = std::iter::once(f64::NEG_INFINITY).chain(times_s.iter().copied());
-                let levels = starts_s.zip(levels_s.iter().copied()).collect();
+                let levels: Vec<(f64, f64)> = starts_s.zip(levels_s.iter().copied()).collect();
+                let levels = PiecewiseLatency::with_steps(&levels);
                 Self { steps, ..profile(LatencyShape::Steps, swing_s, levels) }
             }
             &Basis::Ramp([from_s, to_s]) => {
-                let mut levels = vec![
-                    (windows[0].t_s.min(from_s), levels_s[0]),
-                    (from_s, levels_s[0]),
-                    (to_s, levels_s[1]),
-                    (windows[windows.len() - 1].t_s.max(to_s), levels_s[1]),
-                ];
-                levels.dedup();
+                let knots = vec![(from_s, levels_s[0]), (to_s, levels_s[1])];
+                let levels = PiecewiseLatency { knots };
                 profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
             }
             Basis::Spline(_) => {
@@ -136,11 +131,11 @@ impl LatencyProfile {
                 let level = |(at, bin): (usize, &Bin)| {
                     (bin.t_s, fit.basis.latency_s(levels_s, at, bin.t_s))
                 };
-                let levels: Vec<(f64, f64)> = bins.map(level).collect();
-                let [low_s, high_s] = range_of(levels.iter().map(|level| level.1));
+                let knots: Vec<(f64, f64)> = bins.map(level).collect();
+                let [low_s, high_s] = range_of(knots.iter().map(|knot| knot.1));
                 let of_knots = size_s(levels_s.imin(), levels_s.imax());
                 let swing_s = Measured { value: high_s - low_s, ..of_knots };
-                profile(LatencyShape::Wander, swing_s, levels)
+                profile(LatencyShape::Wander, swing_s, PiecewiseLatency { knots })
             }
             Basis::Load(load, _) => {
                 let [min, max] = range_of(load.iter().copied());
@@ -150,11 +145,12 @@ impl LatencyProfile {
                     dof: windows.len() as f64,
                 };
                 let bins = windows.iter().flat_map(|window| &window.bins);
-                let levels =
+                let knots =
                     bins.zip(load).map(|(bin, load)| (bin.t_s, levels_s[0] + levels_s[1] * load));
+                let levels = PiecewiseLatency { knots: knots.collect() };
                 let swing_s = slope.scaled(max - min);
                 let skew = levels_s[2];
-                Self { skew, ..profile(LatencyShape::WithLoad, swing_s, levels.collect()) }
+                Self { skew, ..profile(LatencyShape::WithLoad, swing_s, levels) }
             }
         }
     }
@@ -163,7 +159,7 @@ impl LatencyProfile {
     pub(crate) fn with_further_steps(&self, further: &Self) -> Option<Self> {
         /// Closer ones are one step.
         const MIN_SEPARATION_S: f64 = 1.0;
-        let (start, start_of_further) = (self.levels.first()?, further.levels.first()?);
+        let (start, start_of_further) = (self.levels.knots.first()?, further.levels.knots.first()?);
         if self.steps.is_empty() || further.steps.is_empty() {
             return None;
         }
@@ -187,6 +183,7 @@ impl LatencyProfile {
             levels.push((step.at_s, level_s));
         }
         let swing_s = largest(&steps)?;
+        let levels = PiecewiseLatency::with_steps(&levels);
         Some(Self { swing_s, steps, levels, ..self.clone() })
     }
 
@@ -194,35 +191,21 @@ impl LatencyProfile {
     /// be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let usual = self.typical_s(t_s);
-        let straight = |t_s: &f64| t_s - (self.relative_s(*t_s) - usual);
+        let straight = |t_s: &f64| t_s - (self.levels.at(*t_s) - usual);
         monotonic_rows(t_s.iter().map(straight).enumerate())
     }
 
     /// Median level at the stamps, s.
     pub fn typical_s(&self, t_s: &[f64]) -> f64 {
-        let mut latencies: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
+        let mut latencies: Vec<f64> = t_s.iter().map(|&t_s| self.levels.at(t_s)).collect();
         median(&mut latencies).unwrap_or(0.0)
     }
 
     /// Makes the levels relative to the median at the stamps.
     pub(crate) fn relative_to_typical(mut self, t_s: &[f64]) -> Self {
         let usual_s = self.typical_s(t_s);
-        self.levels.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
+        self.levels.knots.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
         self
-    }
-
-    /// Latency at a stamp, s.
-    pub(crate) fn relative_s(&self, t_s: f64) -> f64 {
-        let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
-        let level = |index: usize| self.levels.get(index).copied();
-        match (after.checked_sub(1).and_then(level), level(after)) {
-            (Some((a_s, a)), Some((b_s, b))) if self.steps.is_empty() => {
-                a + (b - a) * (t_s - a_s) / (b_s - a_s)
-            }
-            (Some((_, before)), _) => before,
-            (None, Some((_, first))) => first,
-            (None, None) => 0.0,
-        }
     }
 }
 
@@ -246,7 +229,7 @@ pub(crate) struct LatencySample {
 pub(crate) fn latency_profile(
     aligned: &AlignedSamples,
     skew: f64,
-    removed_ramp: Option<&LatencyRamp>,
+    removed_ramp: Option<&PiecewiseLatency>,
     speed: impl Fn(f64) -> f64,
     fk_at: impl Fn(&dyn Fn(f64) -> f64) -> Option<Vec<Option<Pose>>>,
 ) -> EstimateResult<LatencyProfile> {
@@ -270,7 +253,7 @@ pub(crate) fn fit_profile(
     latency_samples: &[LatencySample],
     kinds: usize,
     skew: f64,
-    removed_ramp: Option<&LatencyRamp>,
+    removed_ramp: Option<&PiecewiseLatency>,
     samples_at: impl Fn(&dyn Fn(f64) -> f64) -> Option<Vec<LatencySample>>,
 ) -> EstimateResult<LatencyProfile> {
     /// Of precise windows.
@@ -284,7 +267,7 @@ pub(crate) fn fit_profile(
     };
     let middle_s = 0.5 * (logged_s(first.t_s) + logged_s(last.t_s));
     let removed_s =
-        |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.lag_s(t_s));
+        |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.at(t_s));
     let normalized = |samples: &[LatencySample], noise| normalized(samples, noise, logged_s);
     let samples = normalized(latency_samples, noise(latency_samples));
     let windows_of = |samples: &[NormalizedSample], compensated_s: &dyn Fn(f64) -> f64| {
@@ -353,7 +336,7 @@ impl FittedProfile {
     }
 
     fn latency_s(&self, t_s: f64) -> f64 {
-        self.profile.relative_s(t_s) + self.profile.skew * (t_s - self.middle_s)
+        self.profile.levels.at(t_s) + self.profile.skew * (t_s - self.middle_s)
     }
 }
 
@@ -422,7 +405,7 @@ fn steady_profile(windows: &[Window]) -> LatencyProfile {
         shape: LatencyShape::Steady,
         skew: 0.0,
         steps: Vec::new(),
-        levels: Vec::new(),
+        levels: PiecewiseLatency::default(),
         windows: measured,
         parameters: 0,
     }

@@ -1,27 +1,20 @@
-//! Piecewise linear latency of a stream, which may also step.
+//! Fits a piecewise linear latency to the speeds of a stream.
 
 use super::coarse::MIN_VARIATION_S;
 use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
+use super::piecewise::PiecewiseLatency;
 use super::speed_residual::{SpeedPairs, fit_rows, squared_residual};
-use crate::LatencyProfile;
-use crate::samples::sampling::{monotonic_rows, range_of};
-
-/// Piecewise linear latency of a stream.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LatencyRamp {
-    /// Stamp, s from the run's origin, and latency, s. At least two; two at the time of a step.
-    knots: Vec<(f64, f64)>,
-}
+use crate::samples::sampling::range_of;
 
 /// Fitted latency with its squared speed residual, and the residual of a linear latency.
 pub(crate) struct RampFit {
-    pub ramp: LatencyRamp,
+    pub ramp: PiecewiseLatency,
     pub residual: f64,
     pub line_residual: f64,
 }
 
-impl LatencyRamp {
+impl PiecewiseLatency {
     /// Fits the lags of `windows`. Also returns the speed residuals of this fit and of the best line.
     /// `None` if the lags vary little.
     pub(crate) fn fit_windows(
@@ -55,7 +48,7 @@ impl LatencyRamp {
         let is_nonlinear = piecewise
             .knots
             .iter()
-            .any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > MIN_LINE_DEVIATION_S);
+            .any(|knot| (knot.1 - line.at(knot.0)).abs() > MIN_LINE_DEVIATION_S);
         Some(RampFit {
             ramp: piecewise,
             residual: if is_nonlinear { residual } else { line_residual },
@@ -63,68 +56,30 @@ impl LatencyRamp {
         })
     }
 
-    /// `None` if it is steady.
-    pub(crate) fn from_profile(profile: &LatencyProfile) -> Option<Self> {
-        /// Of a level before the first step and after the last one.
-        const LEVEL_S: f64 = 1.0;
-        let levels = &profile.levels;
-        let knots = match profile.steps.is_empty() {
-            true => levels.clone(),
-            false => {
-                let steps = levels.windows(2);
-                let mut knots: Vec<(f64, f64)> =
-                    steps.flat_map(|two| [(two[1].0, two[0].1), two[1]]).collect();
-                let (first, last) = (*knots.first()?, *knots.last()?);
-                knots.insert(0, (first.0 - LEVEL_S, first.1));
-                knots.push((last.0 + LEVEL_S, last.1));
-                knots
-            }
-        };
-        (profile.is_unsteady && knots.len() > 1).then_some(Self { knots })
-    }
-
-    /// Latency at a stamp, s.
-    pub(crate) fn lag_s(&self, t_s: f64) -> f64 {
-        let after = self.knots.partition_point(|knot| knot.0 <= t_s).clamp(1, self.knots.len() - 1);
-        let ((a_s, a), (b_s, b)) = (self.knots[after - 1], self.knots[after]);
-        a + (b - a) * ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)
-    }
-
-    /// Compensated stamps, each with its row. Drops rows that would be out of order.
-    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        monotonic_rows(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
-    }
-
-    /// Logged stamp of a compensated one, s.
-    pub(crate) fn logged_s(&self, t_s: f64) -> f64 {
-        // Fixed-point iteration; converges because the latency changes slowly.
-        (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
-    }
-
     /// Minimises the speed residual over the lag at each knot, where the arm's speed is known. Returns the residual of all
     /// stamps.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
         let rows = fit_rows(stream);
-        let mut pairs = SpeedPairs::new(arm, stream, &rows, &|t_s| self.lag_s(t_s));
+        let mut pairs = SpeedPairs::new(arm, stream, &rows, &|t_s| self.at(t_s));
         let mut min_residual = pairs.squared_residual();
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
             for knot in 0..self.knots.len() {
                 let span_s = self.span_of_knot(knot);
                 for by_s in [step_s, -step_s] {
                     self.knots[knot].1 += by_s;
-                    pairs.update(span_s, &|t_s| self.lag_s(t_s));
+                    pairs.update(span_s, &|t_s| self.at(t_s));
                     match pairs.squared_residual() {
                         lower if lower < min_residual => min_residual = lower,
                         _ => {
                             self.knots[knot].1 -= by_s;
-                            pairs.update(span_s, &|t_s| self.lag_s(t_s));
+                            pairs.update(span_s, &|t_s| self.at(t_s));
                         }
                     }
                 }
             }
         }
-        squared_residual(arm, stream, &|t_s| self.lag_s(t_s))
+        squared_residual(arm, stream, &|t_s| self.at(t_s))
     }
 
     /// Stamps whose latency depends on the lag at a knot, s.

@@ -3,6 +3,7 @@
 
 use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
+use super::piecewise::PiecewiseLatency;
 use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
@@ -257,7 +258,7 @@ impl LatencySteps {
             is_unsteady: true,
             shape: LatencyShape::Steps,
             skew: 0.0,
-            levels,
+            levels: PiecewiseLatency::with_steps(&levels),
             windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
             parameters: 2 * jumps.len(),
             steps: jumps,

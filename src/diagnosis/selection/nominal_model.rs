@@ -19,7 +19,7 @@ use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::robust_sigma;
-use crate::{LatencyProfile, LatencyRamp, Measured};
+use crate::{LatencyProfile, Measured, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
@@ -84,11 +84,11 @@ pub(crate) fn is_unsteady_beside_links(
     state: &StreamState,
     offsets: &[f64],
     profile: &LatencyProfile,
-    removed: Option<&LatencyRamp>,
+    removed: Option<&PiecewiseLatency>,
 ) -> Option<bool> {
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = observations.with_stamps(logged_s);
-    let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
+    let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.levels.at(logged_s(t_s)));
     let as_logged = logged.linearize(state, offsets, MAX_SAMPLES);
     if !is_calibratable(rms_of_kinds(&as_logged.residual)) {
         return None;
