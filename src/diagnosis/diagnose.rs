@@ -17,7 +17,7 @@ use crate::compliance::{
 };
 use crate::encodings::decoded_stream::{MIN_TURN_RAD, max_angle};
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
-use crate::latency::compensation::{CompensatedRun, with_stamps, with_tracks};
+use crate::latency::compensation::{CompensatedRun, tracks_with_stamps, with_tracks};
 use crate::residuals::comparison::{has_large_residual, has_slow_residual, residual_m};
 use crate::samples::sampling::slow_samples;
 use crate::selection::evidence::{fits_as_well, likeliest};
@@ -182,12 +182,8 @@ fn diagnose_with_hidden_latency(
         if hidden.iter().all(Option::is_none) {
             break;
         }
-        let tracks = run.streams.iter().zip(&hidden);
-        let tracks: Vec<Option<PoseTrack>> = tracks
-            .map(|(stream, profile)| {
-                Some(with_stamps(stream, &profile.as_ref()?.compensated(&stream.track.t_s)))
-            })
-            .collect();
+        let tracks =
+            tracks_with_stamps(run.streams, |s, t_s| Some(hidden[s].as_ref()?.compensated(t_s)));
         let compensated = ArmRun { streams: &with_tracks(run.streams, &tracks), ..*run };
         let constant = compensated.diagnose();
         let diagnosis = diagnose_with_varying_causes(&compensated, &constant).unwrap_or(constant);

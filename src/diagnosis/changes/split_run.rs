@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::jumps::Jump;
 use crate::ArmDiagnosis;
 use crate::arm_run::ArmRun;
-use crate::latency::compensation::{with_stamps, with_tracks};
+use crate::latency::compensation::{tracks_with_stamps, with_tracks};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::samples::sampling::rows_within;
 use ground::stream::{JointTrack, PoseTrack};
@@ -84,13 +84,9 @@ impl SplitRun<'_> {
     }
 
     pub fn tracks_in(&self, span: Span) -> Vec<Option<PoseTrack>> {
-        let track = |s: usize| {
-            let stream = &self.arm.streams[s];
-            let rows: Vec<(usize, f64)> =
-                self.rows(s, span).map(|row| (row, stream.track.t_s[row])).collect();
-            Some(with_stamps(stream, &rows))
-        };
-        (0..self.arm.streams.len()).map(track).collect()
+        tracks_with_stamps(self.arm.streams, |s, t_s| {
+            Some(self.rows(s, span).map(|row| (row, t_s[row])).collect())
+        })
     }
 
     /// Diagnoses a segment alone.

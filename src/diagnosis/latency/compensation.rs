@@ -36,11 +36,7 @@ impl CompensatedRun {
         let steps = changes.iter().map(|it| it.as_ref().and_then(CoarseLatencyChange::steps));
         let steps: Vec<Option<&LatencySteps>> = steps.collect();
         // Ramps stay in the estimated profile; only steps are removed.
-        let without_steps = |(stream, steps): (&PoseStream, &Option<&LatencySteps>)| {
-            Some(with_stamps(stream, &(*steps)?.compensated(&stream.track.t_s)))
-        };
-        let step_free: Vec<Option<PoseTrack>> =
-            run.streams.iter().zip(&steps).map(without_steps).collect();
+        let step_free = tracks_with_stamps(run.streams, |s, t_s| Some(steps[s]?.compensated(t_s)));
         let streams = with_tracks(run.streams, &step_free);
         let found = streams.iter().zip(&diagnosis.streams);
         let tracks: Vec<Option<PoseTrack>> = found
@@ -69,11 +65,8 @@ struct CoarselyCompensated {
 
 impl CoarselyCompensated {
     fn new(run: &ArmRun, changes: Vec<Option<CoarseLatencyChange>>) -> Self {
-        let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
-            Some(with_stamps(stream, &change.as_ref()?.compensated(&stream.track.t_s)))
-        };
-        let tracks: Vec<Option<PoseTrack>> =
-            run.streams.iter().zip(&changes).map(of_stream).collect();
+        let tracks =
+            tracks_with_stamps(run.streams, |s, t_s| Some(changes[s].as_ref()?.compensated(t_s)));
         let mut streams = with_tracks(run.streams, &tracks);
         for (stream, change) in streams.iter_mut().zip(&changes) {
             stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
@@ -265,6 +258,16 @@ pub fn compensate_latency(
 ) -> Option<PoseTrack> {
     let profile = profile.as_ref().ok().filter(|profile| profile.is_unsteady)?;
     Some(with_stamps(stream, &profile.compensated(&stream.track.t_s)))
+}
+
+/// Streams in some rows with other stamps, which depend on the stream's index and stamps. `None` as logged.
+pub(crate) fn tracks_with_stamps(
+    streams: &[PoseStream],
+    rows: impl Fn(usize, &[f64]) -> Option<Vec<(usize, f64)>>,
+) -> Vec<Option<PoseTrack>> {
+    let track =
+        |(s, stream): (usize, &PoseStream)| Some(with_stamps(stream, &rows(s, &stream.track.t_s)?));
+    streams.iter().enumerate().map(track).collect()
 }
 
 /// These rows of a stream with other stamps. Poses in a moving frame are transformed to the base at these; rows without a
