@@ -180,7 +180,7 @@ pub use robot_models::dh_convention::{
 };
 pub use robot_models::position_misfit::{is_seen_from_tool, position_misfit_m};
 pub use robot_models::ranking::{
-    FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model,
+    FitCause, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model,
 };
 pub use samples::aligned::{AlignedSamples, PoseDistances};
 pub use samples::sampling::{monotonic_rows, range_of, row_blocks};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::diagnosis::{FitAssumption, HypothesisFit};
+use crate::diagnosis::{FitCause, HypothesisFit};
 use crate::finding::Unit;
 use crate::robot::{Robot, catalogue};
 
@@ -61,7 +61,7 @@ impl RankedModel {
     }
 
     pub fn needs_no_fault(&self) -> bool {
-        self.hypothesis.assumption.is_faultless() && !self.hypothesis.is_misinterpreted
+        self.hypothesis.cause.is_faultless() && !self.hypothesis.is_misinterpreted
     }
 
     pub fn is_beyond_chance(&self) -> bool {
@@ -77,21 +77,18 @@ impl RankedModel {
 
     pub fn describe(&self) -> String {
         let residual = Unit::Metre.show(self.hypothesis.residual_m);
-        let tool = || format!(" with a TCP of {}", Unit::Metre.show(self.hypothesis.tool_m.norm()));
-        match self.hypothesis.assumption {
+        let tool = match self.hypothesis.has_tool {
+            true => format!(" with a TCP of {}", Unit::Metre.show(self.hypothesis.tool_m.norm())),
+            false => String::new(),
+        };
+        match self.hypothesis.cause {
             _ if self.hypothesis.is_misinterpreted => {
                 format!("{residual} with inverted poses or joints in degrees")
             }
-            FitAssumption::Nothing => residual,
-            FitAssumption::Tool => residual + &tool(),
-            FitAssumption::HalfTurn { tool: true } => {
-                format!("{residual} in a base turned by 180°{}", tool())
-            }
-            FitAssumption::HalfTurn { tool: false } => {
-                format!("{residual} in a base turned by 180°")
-            }
-            FitAssumption::Zero { .. } => format!("{residual} with a joint zero offset"),
-            FitAssumption::Reference { .. } => format!("{residual} in another frame"),
+            FitCause::Nothing => residual + &tool,
+            FitCause::HalfTurn => format!("{residual} in a base turned by 180°{tool}"),
+            FitCause::Zero { .. } => format!("{residual} with a joint zero offset"),
+            FitCause::Reference => format!("{residual} in another frame"),
         }
     }
 }
@@ -379,17 +376,26 @@ mod tests {
         UR.map(str::to_owned).to_vec()
     }
 
-    fn standing(model: usize, needs: FitAssumption, left_m: f64, score: f64) -> RankedModel {
+    const NOTHING: (FitCause, bool) = (FitCause::Nothing, false);
+    const TOOL: (FitCause, bool) = (FitCause::Nothing, true);
+
+    fn standing(
+        model: usize,
+        (cause, has_tool): (FitCause, bool),
+        left_m: f64,
+        score: f64,
+    ) -> RankedModel {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
         let way = HypothesisFit {
-            assumption: needs,
+            cause,
+            has_tool,
             is_misinterpreted: false,
             residual_m: left_m,
             tool_m,
             lag_s: 0.0,
         };
         let topic = "actual_TCP_pose".to_owned();
-        let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_faultless());
+        let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && cause.is_faultless());
         RankedModel {
             model,
             score,
@@ -417,8 +423,8 @@ mod tests {
     fn poses_select_the_arm_with_the_fewest_assumptions_and_name_the_next() {
         let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
-            let best = standing(at("ur3")?, FitAssumption::Nothing, 2e-5, -700.0);
-            let next = standing(at("ur3e")?, FitAssumption::Tool, 0.0081, -300.0);
+            let best = standing(at("ur3")?, NOTHING, 2e-5, -700.0);
+            let next = standing(at("ur3e")?, TOOL, 0.0081, -300.0);
             Some(ModelRanking { models: vec![best, next] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
@@ -433,8 +439,8 @@ mod tests {
     fn indistinguishable_arms_are_listed() {
         let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
-            let best = standing(at("ur5e")?, FitAssumption::Tool, 1e-5, -700.0);
-            let next = standing(at("ur16e")?, FitAssumption::Tool, 1e-5, -701.0);
+            let best = standing(at("ur5e")?, TOOL, 1e-5, -700.0);
+            let next = standing(at("ur16e")?, TOOL, 1e-5, -701.0);
             Some(ModelRanking { models: vec![best, next] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
@@ -453,10 +459,8 @@ mod tests {
     #[test]
     fn arms_of_different_makers_that_fit_alike_are_no_arm() {
         let at_rest = |models: &[&LogModel]| {
-            let standings = (0..models.len()).map(|at| RankedModel {
-                spread_m: 1e-7,
-                ..standing(at, FitAssumption::Nothing, 6e-8, -700.0)
-            });
+            let standings = (0..models.len())
+                .map(|at| RankedModel { spread_m: 1e-7, ..standing(at, NOTHING, 6e-8, -700.0) });
             Some(ModelRanking { models: standings.collect() })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &at_rest };
@@ -471,8 +475,8 @@ mod tests {
     fn an_arm_that_needs_a_fault_and_fits_no_better_is_distinguished() {
         let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
-            let zero = FitAssumption::Zero { joint: 2, tool: true };
-            let best = standing(at("ur3e")?, FitAssumption::Tool, 4.4e-4, -700.0);
+            let zero = (FitCause::Zero { joint: 2 }, true);
+            let best = standing(at("ur3e")?, TOOL, 4.4e-4, -700.0);
             let next = standing(at("ur3")?, zero, 8.9e-4, -701.0);
             Some(ModelRanking { models: vec![best, next] })
         };
@@ -486,7 +490,7 @@ mod tests {
     #[test]
     fn an_arm_without_the_first_of_the_numbered_joints_is_another() {
         let fits = |models: &[&LogModel]| {
-            let best = standing(0, FitAssumption::Nothing, 2e-5, -700.0);
+            let best = standing(0, NOTHING, 2e-5, -700.0);
             (!models.is_empty()).then(|| ModelRanking { models: vec![best] })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &fits };
@@ -505,8 +509,8 @@ mod tests {
     #[test]
     fn common_joint_names_do_not_identify_an_arm() {
         let off = |models: &[&LogModel]| {
-            let standings = (0..models.len())
-                .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
+            let standings =
+                (0..models.len()).map(|at| standing(at, (FitCause::Reference, true), 0.2, 0.0));
             Some(ModelRanking { models: standings.collect() })
         };
         let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };

@@ -28,62 +28,48 @@ const RESIDUAL_FLOOR_M: f64 = 1e-3;
 /// to link deviations (0.3 mm and 0.05° each, rich motion) in 60 generated runs.
 const MAX_EFFECTIVE_SAMPLES: f64 = 20.0;
 
-/// Assumption of a fit, the most harmless first.
+/// Cause that a fit assumes, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum FitAssumption {
-    /// No assumption.
+pub enum FitCause {
+    /// No cause.
     Nothing,
-    /// Constant tool offset: an active TCP.
-    Tool,
     /// Base turned by 180° about z (`base` for `base_link`).
-    HalfTurn {
-        /// Whether a tool is fitted.
-        tool: bool,
-    },
+    HalfTurn,
     /// Zero offset of one joint.
     Zero {
         /// Joint index in the chain.
         joint: usize,
-        /// Whether a tool is fitted.
-        tool: bool,
     },
     /// Another reference frame.
-    Reference {
-        /// Whether a tool is fitted.
-        tool: bool,
-    },
+    Reference,
 }
 
-impl FitAssumption {
-    /// Whether it is no fault: none, an active TCP, or the other usual base.
+impl FitCause {
+    /// Whether it is no fault: none, or the other usual base.
     pub fn is_faultless(self) -> bool {
-        matches!(self, Self::Nothing | Self::Tool | Self::HalfTurn { .. })
-    }
-
-    /// Whether a tool is fitted.
-    pub fn has_tool(self) -> bool {
-        match self {
-            Self::Nothing => false,
-            Self::Tool => true,
-            Self::HalfTurn { tool } | Self::Zero { tool, .. } | Self::Reference { tool } => tool,
-        }
+        matches!(self, Self::Nothing | Self::HalfTurn)
     }
 
     /// Parameter count, without latency and tool.
     fn parameters(self) -> usize {
         match self {
-            Self::Nothing | Self::Tool => 0,
-            Self::HalfTurn { .. } | Self::Zero { .. } => 1,
-            Self::Reference { .. } => 6,
+            Self::Nothing => 0,
+            Self::HalfTurn | Self::Zero { .. } => 1,
+            Self::Reference => 6,
         }
     }
 }
 
+/// A cause, and whether a tool is fitted.
+type Assumption = (FitCause, bool);
+
 /// Fit of a model to a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HypothesisFit {
-    /// Assumption made.
-    pub assumption: FitAssumption,
+    /// Cause assumed.
+    pub cause: FitCause,
+    /// Whether a constant tool offset is fitted: an active TCP.
+    pub has_tool: bool,
     /// Whether poses are inverted or joints in degrees.
     pub is_misinterpreted: bool,
     /// Position residual over the best 90 %, rms m.
@@ -122,7 +108,7 @@ impl ModelFit {
     /// Smallest residual without a fault, m.
     pub fn faultless_residual_m(&self) -> f64 {
         let faultless =
-            self.fits.iter().filter(|fit| fit.assumption.is_faultless() && !fit.is_misinterpreted);
+            self.fits.iter().filter(|fit| fit.cause.is_faultless() && !fit.is_misinterpreted);
         faultless.map(|fit| fit.residual_m).fold(f64::INFINITY, f64::min)
     }
 
@@ -165,7 +151,7 @@ impl ModelFit {
 
     fn score(&self, fit: &HypothesisFit) -> f64 {
         let misread = if fit.is_misinterpreted { 3.0 } else { 0.0 };
-        let parameters = fit.assumption.parameters() as f64 + misread;
+        let parameters = fit.cause.parameters() as f64 + misread;
         self.price(fit.residual_m, parameters) + self.tool_price(&fit.tool_m)
     }
 
@@ -191,7 +177,7 @@ impl ModelFit {
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
-    /// Only [`FitAssumption::Nothing`], from zero latency.
+    /// Only [`FitCause::Nothing`] without a tool, from zero latency.
     Nothing,
     /// Those without a fault.
     Faultless,
@@ -207,7 +193,7 @@ pub fn fit_model(
     let scale = metres_by_size(joints, stream);
     if tried == FitHypotheses::Nothing {
         let at_zero = StreamWithFk::new(joints, stream, scale, (0.0, max_lag_s))?;
-        return Some(at_zero.fit_under(&[FitAssumption::Nothing]));
+        return Some(at_zero.fit_under(&[(FitCause::Nothing, false)]));
     }
     let lag_s = candidate_lags(joints, stream, max_lag_s);
     let is_only = lag_s.len() == 1;
@@ -230,7 +216,7 @@ pub(crate) fn tool_fit(
     with_zero: bool,
 ) -> Option<ScoredFit> {
     let scale = metres_by_size(joints, stream);
-    let zeros = (0..stream.chain.dof()).map(|joint| FitAssumption::Zero { joint, tool: true });
+    let zeros = (0..stream.chain.dof()).map(|joint| (FitCause::Zero { joint }, true));
     let candidates = candidate_lags(joints, stream, max_lag_s).into_iter();
     let candidates =
         candidates.filter_map(|lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s)));
@@ -248,7 +234,7 @@ pub(crate) fn tool_fit(
 }
 
 pub(crate) fn frame_price(samples: usize) -> f64 {
-    let free = FitAssumption::Reference { tool: false }.parameters() as f64;
+    let free = FitCause::Reference.parameters() as f64;
     free * price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
@@ -296,14 +282,14 @@ impl<'a> StreamWithFk<'a> {
 
     fn fit(&self) -> ModelFit {
         self.fit_under(&[
-            FitAssumption::Nothing,
-            FitAssumption::Tool,
-            FitAssumption::HalfTurn { tool: false },
-            FitAssumption::HalfTurn { tool: true },
+            (FitCause::Nothing, false),
+            (FitCause::Nothing, true),
+            (FitCause::HalfTurn, false),
+            (FitCause::HalfTurn, true),
         ])
     }
 
-    fn fit_under(&self, assumptions: &[FitAssumption]) -> ModelFit {
+    fn fit_under(&self, assumptions: &[Assumption]) -> ModelFit {
         let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
         let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
@@ -317,8 +303,8 @@ impl<'a> StreamWithFk<'a> {
 
     /// Residual with any tool, which every hypothesis without a fault restricts.
     fn residual_with_tool_m(&self) -> f64 {
-        let most_general = [FitAssumption::Tool, FitAssumption::HalfTurn { tool: true }];
-        let fits = most_general.into_iter().filter_map(|it| self.fit_with(it, ToolPrior::None));
+        let faultless = [FitCause::Nothing, FitCause::HalfTurn];
+        let fits = faultless.into_iter().filter_map(|it| self.fit_with(it, ToolPrior::None));
         fits.map(|fit| fit.residual_m).fold(f64::INFINITY, f64::min)
     }
 
@@ -333,16 +319,16 @@ impl<'a> StreamWithFk<'a> {
     fn faulty_fits(&self) -> Vec<HypothesisFit> {
         let zeros = [false, true].into_iter().flat_map(|tool| {
             let joints = self.likely_zeros(tool).into_iter();
-            joints.map(move |joint| FitAssumption::Zero { joint, tool })
+            joints.map(move |joint| (FitCause::Zero { joint }, tool))
         });
-        let references = [false, true].map(|tool| FitAssumption::Reference { tool });
+        let references = [false, true].map(|tool| (FitCause::Reference, tool));
         references.into_iter().chain(zeros).flat_map(|it| self.fits_under(it)).collect()
     }
 
     /// Inverted poses, joints in degrees.
     fn misinterpreted_fits(&self) -> Vec<HypothesisFit> {
-        const ASSUMPTIONS: [FitAssumption; 3] =
-            [FitAssumption::Nothing, FitAssumption::Tool, FitAssumption::Reference { tool: true }];
+        const ASSUMPTIONS: [Assumption; 3] =
+            [(FitCause::Nothing, false), (FitCause::Nothing, true), (FitCause::Reference, true)];
         let of = |stream_with_fk: StreamWithFk<'_>| {
             let fits = ASSUMPTIONS.into_iter().flat_map(|it| stream_with_fk.fits_under(it));
             fits.map(|fit| HypothesisFit { is_misinterpreted: true, ..fit }).collect::<Vec<_>>()
@@ -410,40 +396,38 @@ impl<'a> StreamWithFk<'a> {
         FittedParameters { reference, ..self.initial_parameters() }
     }
 
-    /// Fits the parameters of `assumption`, and an unknown reference. A tool is fitted twice: in any
+    /// Fits the parameters of the cause, and an unknown reference. A tool is fitted twice: in any
     /// direction, and along the flange axis. Without a tool, a link deviation is fitted.
-    fn fits_under(&self, assumption: FitAssumption) -> Vec<HypothesisFit> {
-        let priors: &[ToolPrior] = match assumption.has_tool() {
+    fn fits_under(&self, (cause, has_tool): Assumption) -> Vec<HypothesisFit> {
+        let priors: &[ToolPrior] = match has_tool {
             false => &[ToolPrior::Deviation],
             true => &[ToolPrior::None, ToolPrior::AlongAxis],
         };
-        priors.iter().filter_map(|&prior| self.fit_with(assumption, prior)).collect()
+        priors.iter().filter_map(|&prior| self.fit_with(cause, prior)).collect()
     }
 
-    fn fit_with(&self, assumption: FitAssumption, prior: ToolPrior) -> Option<HypothesisFit> {
+    fn fit_with(&self, cause: FitCause, prior: ToolPrior) -> Option<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
-        let reference = match assumption {
-            FitAssumption::Reference { .. } | FitAssumption::HalfTurn { .. } if is_free => {
-                return None;
-            }
-            FitAssumption::Reference { .. } => true,
-            _ => is_free,
-        };
+        if is_free && matches!(cause, FitCause::Reference | FitCause::HalfTurn) {
+            return None;
+        }
+        let reference = is_free || cause == FitCause::Reference;
         let mut free = vec![0];
-        if let FitAssumption::Zero { joint, .. } = assumption {
+        if let FitCause::Zero { joint } = cause {
             free.push(1 + joint);
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
-        let starts = match assumption {
-            FitAssumption::HalfTurn { .. } => vec![self.with_reference(half_turn())],
+        let starts = match cause {
+            FitCause::HalfTurn => vec![self.with_reference(half_turn())],
             _ => self.starts(reference),
         };
         let solutions = starts.into_iter().map(|start| self.solve(start, &free, prior));
         let (residual_m, parameters) = solutions.min_by(|a, b| a.0.total_cmp(&b.0))?;
         residual_m.is_finite().then_some(HypothesisFit {
-            assumption,
+            cause,
+            has_tool: !matches!(prior, ToolPrior::Deviation),
             is_misinterpreted: false,
             residual_m,
             tool_m: parameters.tool,

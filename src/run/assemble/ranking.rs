@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::assembly::Assembly;
 use super::groups::JointStateGroup;
-use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, fit_model};
+use crate::diagnosis::{FitCause, FitHypotheses, ModelFit, PoseStream, ScoredFit, fit_model};
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, ChainEnds};
 use crate::run::catalogue_selection::{MIN_SCORE_DIFFERENCE, ModelRanking, RankedModel};
@@ -148,7 +148,8 @@ impl PoseRanking<'_> {
             return None;
         }
         if own.is_fit
-            && own.hypothesis.assumption == FitAssumption::Nothing
+            && own.hypothesis.cause == FitCause::Nothing
+            && !own.hypothesis.has_tool
             && !own.hypothesis.is_misinterpreted
         {
             return None;
@@ -201,7 +202,7 @@ impl PoseRanking<'_> {
             topic: best.topic.clone(),
             named_residual_m: own.map_or(f64::INFINITY, |own| own.logged_residual_m),
             residual_m: best.hypothesis.residual_m,
-            tool_m: best.hypothesis.assumption.has_tool().then(|| best.hypothesis.tool_m.norm()),
+            tool_m: best.hypothesis.has_tool.then(|| best.hypothesis.tool_m.norm()),
         })
     }
 
@@ -348,7 +349,7 @@ fn rank_models(entries: &[FittedModel]) -> Vec<ScoredModel> {
     let near = ranks.iter().take_while(|rank| rank.score <= least + MIN_SCORE_DIFFERENCE).count();
     ranks[..near].sort_by_key(|rank| {
         let hypothesis = &rank.decisive.1.fit;
-        (hypothesis.is_misinterpreted, hypothesis.assumption)
+        (hypothesis.is_misinterpreted, hypothesis.cause, hypothesis.has_tool)
     });
     ranks
 }
