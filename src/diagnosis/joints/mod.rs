@@ -11,10 +11,10 @@ mod single_joint;
 mod slow_samples;
 
 use self::slow_samples::{
-    JOINT_ENCODING_SAMPLES, SimultaneousSamples, normalize_velocities, slow_simultaneous_samples,
+    JOINT_ENCODING_SAMPLES, SimultaneousSamples, rms_speeds, slow_simultaneous_samples,
 };
 use crate::frames::position_fit::{FkColumns, spread};
-use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
+use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::measurement::PoseObservations;
 use crate::samples::sampling::{check_sample_count, range_of};
 use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
@@ -29,7 +29,6 @@ use interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses};
 use map::{Coupling, JointMap};
 use search::{InterpretationKind, JointInterpretation, SearchOutcome, search_kind};
 use single_joint::SingleJoint;
-use std::borrow::Cow;
 
 pub(super) use corrected_joints::CorrectedJoints;
 pub(super) use interpreted_poses::ResidualSize;
@@ -529,11 +528,10 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) 
     let speed = linear_speed(&track.t_s, &track.xyz);
     let mut lags = vec![0.0];
     // Speeds as logged, and normalised per joint.
-    for joints in [Cow::Borrowed(joints), Cow::Owned(normalize_velocities(joints))] {
-        let peaks = lag_peaks(&joint_activity(&joints), &speed, max_lag_s);
-        for peak in peaks.iter().filter(|peak| peak.correlation > 0.4).take(2) {
-            if lags.iter().all(|lag_s| (peak.lag_s - lag_s).abs() > 0.01) {
-                lags.push(peak.lag_s);
+    for units in [vec![1.0; joints.dof], rms_speeds(joints)] {
+        for lag_s in joint_speed_lags(joints, &units, &speed, max_lag_s) {
+            if lags.iter().all(|other_s| (lag_s - other_s).abs() > 0.01) {
+                lags.push(lag_s);
             }
         }
     }

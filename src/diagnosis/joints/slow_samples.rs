@@ -1,6 +1,7 @@
 //! Slow samples used to determine the encoding of the joints.
 
 use crate::PoseStream;
+use crate::latency::correlation::combined_speed;
 use crate::samples::sampling::as_rotations;
 use ground::geometry::{Rotation, Vec3};
 use ground::stream::JointTrack;
@@ -17,18 +18,8 @@ pub(super) struct SimultaneousSamples {
     pub q: Vec<f64>,
 }
 
-/// Divides each joint's velocity by its rms.
-pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
-    let mut evened = joints.clone();
-    let rms = rms_speeds(joints);
-    for row in evened.qd.chunks_exact_mut(joints.dof.max(1)) {
-        row.iter_mut().zip(&rms).for_each(|(speed, rms)| *speed /= rms);
-    }
-    evened
-}
-
 /// Bounded below to allow division.
-fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
+pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     let square = |joint: usize| {
         joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
     };
@@ -49,8 +40,7 @@ pub(super) fn slow_simultaneous_samples(
     let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
     for (k, t_s) in track.t_s.iter().enumerate() {
         if joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
-            let speed =
-                qd.iter().zip(&rms).map(|(speed, rms)| (speed / rms).powi(2)).sum::<f64>().sqrt();
+            let speed = combined_speed(&qd, &rms);
             covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
         }
     }

@@ -120,14 +120,25 @@ impl ArmSpeeds {
     }
 }
 
-/// Root of the sum of squared joint speeds. Invariant to permuted joint names.
-pub(crate) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
-    let value = joints
-        .qd
-        .chunks_exact(joints.dof.max(1))
-        .map(|row| row.iter().map(|v| v * v).sum::<f64>().sqrt())
-        .collect();
-    SpeedSeries { t_s: joints.t_s.clone(), value }
+/// Lags of the two highest correlations of the combined joint speeds with a stream's speed, if they are high enough.
+pub(crate) fn joint_speed_lags(
+    joints: &JointTrack,
+    units: &[f64],
+    speed: &SpeedSeries,
+    max_lag_s: f64,
+) -> Vec<f64> {
+    const MIN_CORRELATION: f64 = 0.4;
+    let rows = joints.qd.chunks_exact(joints.dof.max(1));
+    let value = rows.map(|row| combined_speed(row, units)).collect();
+    let of_joints = SpeedSeries { t_s: joints.t_s.clone(), value };
+    let peaks = lag_peaks(&of_joints, speed, max_lag_s).into_iter();
+    let high = peaks.filter(|peak| peak.correlation > MIN_CORRELATION);
+    high.take(2).map(|peak| peak.lag_s).collect()
+}
+
+/// Root of the sum of squared joint speeds, each in its unit. Without units, invariant to permuted joint names.
+pub(crate) fn combined_speed(speeds: &[f64], units: &[f64]) -> f64 {
+    speeds.iter().zip(units).map(|(speed, unit)| (speed / unit).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Speed between samples `window_s` apart.

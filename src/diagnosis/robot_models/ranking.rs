@@ -9,7 +9,7 @@ use super::position_misfit::{MIN_SAMPLES, SlowPositions};
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
 use crate::frames::position_fit::FkColumns;
-use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
+use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
@@ -238,13 +238,14 @@ pub(crate) fn frame_price(samples: usize) -> f64 {
     free * price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
-/// From the correlation of stream speed and joint activity, and zero.
+/// From the correlation of stream and joint speeds, and zero.
 fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
-    let peaks = lag_peaks(&joint_activity(joints), &speed, max_lag_s);
-    let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
-    std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
+    let mut lags = joint_speed_lags(joints, &vec![1.0; joints.dof], &speed, max_lag_s);
+    lags.retain(|lag_s| lag_s.abs() > 0.02);
+    lags.insert(0, 0.0);
+    lags
 }
 
 fn half_turn() -> Pose {
