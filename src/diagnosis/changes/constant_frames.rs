@@ -7,6 +7,7 @@ use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::Linear;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3};
+use ground::stats::mean;
 
 /// 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
@@ -19,10 +20,8 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
         let residuals = constant_frame_residuals(aligned, has_rotation);
         let samples = aligned.fk_at_truth.len();
         let size = samples.div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
-        let rms = |part: &[[f64; 3]]| {
-            let squares: f64 = part.iter().map(|one| Vec3::from(*one).norm_squared()).sum();
-            (squares / part.len() as f64).sqrt()
-        };
+        let square = |one: &[f64; 3]| Vec3::from(*one).norm_squared();
+        let rms = |part: &[[f64; 3]]| mean(part.iter().map(square)).sqrt();
         let is_below = |(residuals, max): (&Vec<[f64; 3]>, f64)| {
             residuals.chunks(size).all(|part| rms(part) < max)
         };

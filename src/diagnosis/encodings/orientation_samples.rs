@@ -10,6 +10,7 @@ use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
 use crate::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
 use ground::geometry::{Axes, Rotation, Vec3, angle_between};
 use ground::geometry::{Convention, QuaternionOrderError};
+use ground::stats::mean;
 use nalgebra::Matrix3;
 
 /// Correct encodings stay below this although joints may be off by some degrees.
@@ -143,7 +144,7 @@ impl RotationSamples<'_> {
     fn as_logged_rad(&self) -> Option<f64> {
         let LoggedRotations::Rotations(logged) = self.logged else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
-        Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
+        Some(mean(squares).sqrt())
     }
 
     /// Interpretation under which rotations fit best. After weak motion, the rotation of an unknown reference by

@@ -11,6 +11,7 @@ use crate::latency::correlation::{ArmSpeeds, LagPeak, MIN_SPEED_CORRELATION, str
 use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
+use ground::stats::mean;
 use ground::stream::{JointTrack, PoseTrack};
 use nalgebra::Matrix3;
 
@@ -177,8 +178,7 @@ fn metres_from_size(fk: &[Vec3], xyz: &[Vec3], stream: &PoseStream) -> EstimateR
     let ratio = if !rests {
         extent / moved
     } else if stream.reference_known {
-        let norm =
-            |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
+        let norm = |points: &[Vec3]| mean(points.iter().map(Vec3::norm));
         norm(xyz) / norm(fk).max(0.05 * reach_m)
     } else {
         return Err(NotObservable::AtRest);
@@ -258,8 +258,7 @@ fn metres_per_unit(track: &PoseTrack) -> f64 {
 /// Whether positions match FK to this share of its extent, rms.
 fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
     let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
-    let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
-    rms_m < share * spread(fk)
+    mean(squares).sqrt() < share * spread(fk)
 }
 
 /// Whether a stream matches FK as logged at zero lag. If so, spurious lags of short or uniform motion are

@@ -23,7 +23,7 @@ pub use encoding::{
 };
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
-use ground::stats::Measured;
+use ground::stats::{Measured, mean};
 use ground::stream::{JointTrack, sample_noise};
 use interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses};
 use map::{Coupling, JointMap};
@@ -437,7 +437,7 @@ fn encoding_at_rest(
     let [as_logged, corrected] = UNITS.map(|unit| {
         let fk = fk_positions(chain, samples, unit);
         let squares = fk.iter().zip(&samples.xyz).map(|(fk, xyz)| (fk - xyz).norm_squared());
-        (squares.sum::<f64>() / samples.xyz.len().max(1) as f64).sqrt()
+        mean(squares).sqrt()
     });
     let is_plausible = |distance: f64, other: f64| {
         distance < MAX_REST_DISTANCE_SHARE * chain.max_reach_m()

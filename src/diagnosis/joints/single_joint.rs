@@ -10,6 +10,7 @@ use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
 use crate::model::jacobian::PoseJacobian;
 use ground::geometry::{Pose, Vec3};
+use ground::stats::mean;
 use std::f64::consts::{PI, TAU};
 
 pub(super) struct SingleJoint {
@@ -80,9 +81,8 @@ impl SingleJoint {
     /// Best zero and its score (higher is better).
     pub fn best_zero(&self, factor: f64) -> (f64, f64) {
         if self.is_prismatic {
-            let n = self.values.len().max(1) as f64;
             let offs = || self.values.iter().zip(&self.required).map(|(v, w)| w[0] - factor * v);
-            let zero = offs().sum::<f64>() / n;
+            let zero = mean(offs());
             return (zero, -offs().map(|off| (off - zero).powi(2)).sum::<f64>());
         }
         let (mut real, mut imaginary) = (0.0, 0.0);
@@ -134,8 +134,7 @@ impl SingleJoint {
 
     /// Regression for a prismatic joint, with and without a zero.
     fn line(&self) -> Vec<(f64, f64)> {
-        let n = self.values.len().max(1) as f64;
-        let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;
+        let mean = |of: &dyn Fn(usize) -> f64| mean((0..self.values.len()).map(of));
         let (v, w) = (|k: usize| self.values[k], |k: usize| self.required[k][0]);
         let (mean_v, mean_w) = (mean(&v), mean(&w));
         let slope = |v0: f64, w0: f64| {

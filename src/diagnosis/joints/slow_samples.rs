@@ -4,6 +4,7 @@ use crate::PoseStream;
 use crate::latency::correlation::combined_speed;
 use crate::samples::sampling::as_rotations;
 use ground::geometry::{Rotation, Vec3};
+use ground::stats::mean;
 use ground::stream::JointTrack;
 
 pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
@@ -20,11 +21,9 @@ pub(super) struct SimultaneousSamples {
 
 /// Bounded below to allow division.
 pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
-    let square = |joint: usize| {
-        joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
-    };
-    let rms = |joint: usize| (square(joint) / joints.len().max(1) as f64).sqrt().max(1e-4);
-    (0..joints.dof).map(rms).collect()
+    let squares =
+        |joint: usize| joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed);
+    (0..joints.dof).map(|joint| mean(squares(joint)).sqrt().max(1e-4)).collect()
 }
 
 /// Spread over the run, see [`slow_rows`].

@@ -2,7 +2,7 @@
 
 use super::{LatencySample, typical_std_error_s};
 use ground::geometry::Vec3;
-use ground::stats::Measured;
+use ground::stats::{Measured, mean};
 use nalgebra::{DMatrix, DVector, Vector6};
 
 /// The residual has a free constant in each window.
@@ -149,7 +149,7 @@ impl Window {
         let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
         // Encoder rounding can be biased over a whole window.
         let rows = components as f64 * n;
-        let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n;
+        let joint_noise = mean(samples.iter().map(|sample| sample.joint_noise));
         let std_error = std_error_s.hypot(joint_noise / (information / rows).sqrt());
         // Acceleration adds a residual of the second order in the latency.
         let accelerations = samples.windows(2).map(|pair| {
@@ -160,14 +160,14 @@ impl Window {
             samples.iter().map(|sample| sample.velocity.norm_squared()).sum();
         let rate = (accelerations.sum::<f64>() / squared_velocity).sqrt();
         let std_error = std_error.hypot(0.5 * rate * delta_s * delta_s);
-        let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n;
+        let t_s = mean(samples.iter().map(|sample| sample.t_s));
         let value = delta_s + compensated_s(t_s);
         let (mut residual, mut squared_residual) = (Vector6::zeros(), 0.0);
         let mut bins = Vec::new();
         let bin_of = |sample: &NormalizedSample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
         for own in samples.chunk_by(|a, b| bin_of(a) == bin_of(b)) {
             let mut bin = Bin {
-                t_s: own.iter().map(|sample| sample.t_s).sum::<f64>() / own.len() as f64,
+                t_s: mean(own.iter().map(|sample| sample.t_s)),
                 loads: own[0].loads,
                 velocity: Vector6::zeros(),
                 squared_velocity: 0.0,
