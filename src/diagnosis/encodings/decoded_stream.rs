@@ -87,14 +87,11 @@ pub(crate) fn decode_stream<'a>(
     let (orientation, degrees) =
         (other.0.map_or(Cow::Borrowed(&track.orientation), Cow::Owned), other.1);
     let there = orientation.at_rows(&rows);
+    let logged = LoggedRotations::from_orientations(&there);
     let turning = RotationSamples {
-        logged: LoggedRotations::from_orientations(&there),
-        fk: &turning,
-        reference_free: true,
-        reference_known,
         are_quaternions: are_quaternions(track),
         only_as_logged: placement.rotations_as_logged,
-        after: RotationCorrections::default(),
+        ..RotationSamples::new(logged, &turning, reference_known)
     };
     let unanchored = PositionInterpretation::unanchored(placement.metres());
     let (interpretation, encoding, fit) = match is_set(&there, turning.fk) {
@@ -273,15 +270,10 @@ fn in_other_angle_unit(
     let residual = |orientation: &Orientations| {
         let there = orientation.at_rows(rows);
         let logged = LoggedRotations::from_orientations(&there);
-        let are_quaternions = are_quaternions(track);
         let samples = RotationSamples {
-            logged,
-            fk,
-            reference_free: true,
-            reference_known,
-            are_quaternions,
-            only_as_logged: false,
+            are_quaternions: are_quaternions(track),
             after,
+            ..RotationSamples::new(logged, fk, reference_known)
         };
         estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };

@@ -70,15 +70,9 @@ pub(crate) fn decode_rotations(
     let axes = intended.axes.rotations;
     let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
     let after = RotationCorrections { conjugator, inverted: intended.is_inverted };
-    let samples = RotationSamples {
-        logged: LoggedRotations::Rotations(&there),
-        fk: &fk,
-        reference_free: true,
-        reference_known,
-        are_quaternions: true,
-        only_as_logged: false,
-        after,
-    };
+    let logged_there = LoggedRotations::Rotations(&there);
+    let samples =
+        RotationSamples { after, ..RotationSamples::new(logged_there, &fk, reference_known) };
     let fit = fit_known(&samples, intended.encoding)?;
     let all = LoggedRotations::Rotations(logged);
     let mut buffer = Vec::new();

@@ -57,6 +57,21 @@ pub(crate) struct RotationSamples<'a> {
     pub after: RotationCorrections,
 }
 
+impl<'a> RotationSamples<'a> {
+    /// Quaternions in standard axes. The reference may have an error.
+    pub fn new(logged: LoggedRotations<'a>, fk: &'a [Rotation], reference_known: bool) -> Self {
+        Self {
+            logged,
+            fk,
+            reference_free: true,
+            reference_known,
+            are_quaternions: true,
+            only_as_logged: false,
+            after: RotationCorrections::default(),
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct RotationCorrections {
     /// From the stream's axes to standard ones, by conjugation. `None` for standard axes.
@@ -594,15 +609,7 @@ mod tests {
                 .map(|k| reference * fk[k] * if k % 2 == 0 { tool } else { tool * noise })
                 .map(|truth| read.read_as.rotation(read.is.numbers(&truth)))
                 .collect();
-            let samples = RotationSamples {
-                logged: LoggedRotations::Rotations(&logged),
-                fk: &fk,
-                reference_free: true,
-                reference_known: false,
-                are_quaternions: true,
-                only_as_logged: false,
-                after: RotationCorrections::default(),
-            };
+            let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
             for encoding in candidate_encodings(&samples) {
                 let both = &[FreeFrameErrors::Both];
                 let residual =

@@ -145,15 +145,7 @@ impl Link<'_> {
             logged.push(track.orientation[k]);
             forces.push(track.accel[k]);
         }
-        let samples = RotationSamples {
-            logged: LoggedRotations::Rotations(&logged),
-            fk: &fk,
-            reference_free: true,
-            reference_known: false,
-            are_quaternions: true,
-            only_as_logged: false,
-            after: RotationCorrections::default(),
-        };
+        let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
         let contradicts_gyro = |tool: &Rotation| {
             let rotation = gyro.and_then(|gyro| gyro.rotation_against(&(known_mount * tool)));
             rotation.is_some_and(|rotation| {
