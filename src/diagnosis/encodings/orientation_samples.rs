@@ -74,9 +74,7 @@ impl PositionInterpretation {
     }
 
     pub fn corrections(&self) -> RotationCorrections {
-        let axes = self.axes.rotations;
-        let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-        RotationCorrections { conjugator, inverted: self.is_inverted }
+        RotationCorrections::new(self.axes.rotations, self.is_inverted)
     }
 
     /// m, before any inversion.

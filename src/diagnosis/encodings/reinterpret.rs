@@ -6,7 +6,7 @@ use super::rotation::{
 use crate::latency::correlation::stream_lag_s;
 use crate::samples::sampling::FkSequence;
 use crate::{AxesError, PoseEncoding, PoseStream};
-use ground::geometry::{Axes, Rotation};
+use ground::geometry::Rotation;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// For the constant frames.
@@ -67,9 +67,7 @@ pub(crate) fn decode_rotations(
     if there.is_empty() {
         return None;
     }
-    let axes = intended.axes.rotations;
-    let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-    let after = RotationCorrections { conjugator, inverted: intended.is_inverted };
+    let after = RotationCorrections::new(intended.axes.rotations, intended.is_inverted);
     let logged_there = LoggedRotations::Rotations(&there);
     let samples =
         RotationSamples { after, ..RotationSamples::new(logged_there, &fk, reference_known) };

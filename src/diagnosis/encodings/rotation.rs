@@ -14,8 +14,8 @@ use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::solver::robust::{kept_samples, trimmed_rms};
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
-    Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
-    rotation_from_xyzw, xyzw_from_rotation,
+    Axes, Convention, QuaternionOrderError, Rotation, Vec3, angle_between,
+    misinterpretation_classes, rotation_from_xyzw, xyzw_from_rotation,
 };
 use ground::stream::Orientations;
 use rayon::prelude::*;
@@ -81,6 +81,11 @@ pub(crate) struct RotationCorrections {
 }
 
 impl RotationCorrections {
+    /// For rotations in these axes.
+    pub fn new(axes: Axes, inverted: bool) -> Self {
+        Self { conjugator: (axes != Axes::STANDARD).then(|| axes.conjugator()), inverted }
+    }
+
     fn apply(&self, rotations: &mut [Rotation]) {
         for rotation in rotations {
             if let Some(conjugator) = self.conjugator {
