@@ -23,13 +23,15 @@ pub(super) struct JointProposal {
 pub(super) struct RefinedProposal {
     pub map: JointMap,
     pub residual: ResidualSize,
-    /// Number of causes, including a rotated tool.
+    /// Number of causes, including a rotated tool and joints beyond the model's limits.
     pub price: f64,
 }
 
 /// For a tool rotation that counts as a cause.
 const MIN_TOOL_ROTATION_RAD: f64 = 0.1;
 const TOOL_ROTATION_PRICE: f64 = 1.0;
+/// Per joint.
+const BEYOND_LIMIT_PRICE: f64 = 0.25;
 
 impl JointProposal {
     /// Minimises the residual in at most `steps` steps.
@@ -53,7 +55,10 @@ impl JointProposal {
         let residual = view.residual_against(&view.fk(&map), &frames);
         let has_rotated_tool =
             view.rotation.is_some() && frames.tool.rotation.angle() > MIN_TOOL_ROTATION_RAD;
-        let price = self.price + if has_rotated_tool { TOOL_ROTATION_PRICE } else { 0.0 };
+        let beyond_limits = map.beyond_limits(view.chain, &view.spans) as f64;
+        let price = self.price
+            + if has_rotated_tool { TOOL_ROTATION_PRICE } else { 0.0 }
+            + BEYOND_LIMIT_PRICE * beyond_limits;
         RefinedProposal { map, residual, price }
     }
 }

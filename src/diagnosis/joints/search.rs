@@ -44,9 +44,8 @@ const MIRROR_PRICE: f64 = 1.2;
 const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
 /// All subsets of as many joints are tried.
 const MAX_SUBSET_JOINTS: usize = 10;
-/// For a scale that is not round, and per joint beyond the model's limits.
+/// For a scale that is not round.
 const ODD_SCALE_PRICE: f64 = 0.5;
-const BEYOND_LIMIT_PRICE: f64 = 0.25;
 
 pub(super) struct JointInterpretation {
     pub map: JointMap,
@@ -131,10 +130,6 @@ fn refine_and_select(
     max_residual: ResidualSize,
 ) -> SearchOutcome {
     let together = |polished: &RefinedProposal| polished.residual.combined_m(view.lever_m);
-    let price = |polished: &RefinedProposal| {
-        polished.price
-            + BEYOND_LIMIT_PRICE * polished.map.beyond_limits(view.chain, &view.spans) as f64
-    };
     let thin = view.thinned(ROUGH_SAMPLES);
     let mut rough: Vec<(f64, JointProposal)> = proposals
         .into_par_iter()
@@ -152,31 +147,28 @@ fn refine_and_select(
         return SearchOutcome::Nothing;
     }
     rough.truncate(REFINED_PROPOSALS);
-    let polished: Vec<(f64, RefinedProposal)> = rough
-        .into_par_iter()
-        .map(|(_, proposal)| proposal.refine(view, freedom, MAX_STEPS))
-        .map(|polished| (price(&polished), polished))
-        .collect();
-    let min_residual = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
+    let polished = rough.into_par_iter().map(|(_, one)| one.refine(view, freedom, MAX_STEPS));
+    let polished: Vec<RefinedProposal> = polished.collect();
+    let min_residual = polished.iter().map(together).fold(f64::INFINITY, f64::min);
     let max_equivalent = (MAX_COMPETITOR_RATIO * min_residual).max(MAX_MODEL_RESIDUAL_M);
-    let equivalent = polished.iter().filter(|(_, one)| {
-        is_within(&one.residual, max_residual) && together(one) <= max_equivalent
-    });
-    let Some((paid, best)) = equivalent
-        .min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
+    let equivalent = polished
+        .iter()
+        .filter(|one| is_within(&one.residual, max_residual) && together(one) <= max_equivalent);
+    let Some(best) = equivalent
+        .min_by(|a, b| a.price.total_cmp(&b.price).then(together(a).total_cmp(&together(b))))
     else {
         return SearchOutcome::Nothing;
     };
-    let others = polished.iter().filter(|(price, other)| {
-        *price <= *paid && !gives_same_positions(view, &other.map, &best.map)
+    let others = polished.iter().filter(|other| {
+        other.price <= best.price && !gives_same_positions(view, &other.map, &best.map)
     });
-    let runner_up = others.min_by(|a, b| together(&a.1).total_cmp(&together(&b.1)));
-    if runner_up.is_some_and(|(_, other)| {
+    let runner_up = others.min_by(|a, b| together(a).total_cmp(&together(b)));
+    if runner_up.is_some_and(|other| {
         together(other) < MIN_RESIDUAL_RATIO * together(best).max(RESIDUAL_FLOOR_M)
     }) {
         return SearchOutcome::Ambiguous;
     }
-    let runner_up_m = runner_up.map(|(_, other)| other.residual.m);
+    let runner_up_m = runner_up.map(|other| other.residual.m);
     SearchOutcome::Found(JointInterpretation {
         map: best.map.clone(),
         residual: best.residual,
