@@ -7,7 +7,7 @@ use super::Options;
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::tables::{MIN_ROWS, dropped_rows, joint_track, named_chain, numbers_suffice, row_times};
 use crate::checks::{is_point_moved, max_row_error_m};
-use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration, range_of};
+use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration, value_range};
 use crate::geometry::{Pose, Rotation, Vec3, pose};
 use crate::log::{self, NumberTable, Topic, read_number_table};
 use crate::report::Trouble;
@@ -184,10 +184,7 @@ fn rests(joints: &JointTrack, columns: &[usize]) -> Vec<Vec<f64>> {
         let end = joints.t_s.partition_point(|t_s| *t_s < joints.t_s[start] + REST_WINDOW_S);
         let count = (end - start) as f64;
         let values = |column: usize| (start..end).map(move |row| joints.row(row)[column]);
-        let is_still = |&column: &usize| {
-            let [low, high] = range_of(values(column));
-            high - low < MAX_REST_RANGE
-        };
+        let is_still = |&column: &usize| value_range(values(column)) < MAX_REST_RANGE;
         let lasts = joints.t_s[end - 1] - joints.t_s[start] > 0.5 * REST_WINDOW_S;
         if lasts && columns.iter().all(is_still) {
             let mean: Vec<f64> =

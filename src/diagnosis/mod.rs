@@ -183,7 +183,7 @@ pub use robot_models::ranking::{
     FitCause, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model,
 };
 pub use samples::aligned::{AlignedSamples, PoseDistances};
-pub use samples::sampling::{monotonic_rows, range_of, row_blocks};
+pub use samples::sampling::{monotonic_rows, range_of, row_blocks, value_range};
 pub use selection::held_out::{HeldOutResidual, StreamHeldOut};
 pub use selection::link_deviations::LinkDisplacement;
 pub use signals::joint_motion::{

@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use crate::diagnosis::value_range;
 use crate::geometry::{Pose, Vec3};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
@@ -214,15 +215,11 @@ fn kept_samples(track: &PoseTrack, spans: impl Iterator<Item = (usize, usize)>) 
 
 fn rest_limits(joints: &JointTrack) -> Vec<f64> {
     let rows = || 0..joints.len();
-    let rest = |joint| {
+    let rest = |joint: usize| {
         (MAX_REST_SHARE * value_range(rows().map(|row| joints.row(row)[joint])))
             .max(MAX_REST_MOTION)
     };
     (0..joints.dof).map(rest).collect()
-}
-
-pub(super) fn value_range(of: impl Iterator<Item = f64> + Clone) -> f64 {
-    of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
 fn constant_spans(track: &PoseTrack) -> Vec<(usize, usize)> {

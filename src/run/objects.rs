@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, HashSet};
 use std::f64::consts::TAU;
 
-use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
+use crate::diagnosis::{LagPeak, PoseStream, candidate_lags, value_range};
 use crate::geometry::{Vec3, angle_between, rotation_from_rpy};
 use crate::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
 
 use super::arm::Arm;
-use super::frozen::{is_same, jumps_after, retain_samples, spans_like_first, value_range};
+use super::frozen::{is_same, jumps_after, retain_samples, spans_like_first};
 use super::not_audited::{NotAudited, NotAuditedReason};
 use super::role::Role;
 use super::sources::PoseSource;

@@ -7,7 +7,7 @@ use super::system::{Coefficient, ComplianceSystem};
 use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::arm_run::ArmRun;
 use crate::priors::price;
-use crate::samples::sampling::range_of;
+use crate::samples::sampling::value_range;
 use crate::{ChangePoint, Course};
 use ground::stats::Measured;
 use std::ops::Range;
@@ -101,10 +101,10 @@ impl<'a> ComplianceSearch<'a> {
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
         let of_joint = |column: usize| {
             let values = self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
-            let [low, high] = range_of(values);
+            let range = value_range(values);
             let sags = self.max_torque[column] > MIN_TORQUE_SHARE * largest;
-            let turns = high - low > MIN_RANGE_RAD;
-            let moves = high - low > 0.05;
+            let turns = range > MIN_RANGE_RAD;
+            let moves = range > 0.05;
             let orders = ECCENTRICITY_ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
             let crossings = [BacklashCrossing::Gradual, BacklashCrossing::Sudden].into_iter();
             let kinds = crossings

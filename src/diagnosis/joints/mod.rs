@@ -16,7 +16,7 @@ use self::slow_samples::{
 use crate::frames::position_fit::{FkColumns, spread};
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::measurement::PoseObservations;
-use crate::samples::sampling::{check_sample_count, range_of};
+use crate::samples::sampling::{check_sample_count, range_of, value_range};
 use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
 pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
@@ -149,8 +149,7 @@ fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
     let residual =
         |view: &InterpretedPoses| view.fitted_residual(&JointMap::as_logged(dof), FreeFrames::Both);
     let range = |view: &InterpretedPoses, joint: usize| {
-        let [low, high] = range_of(view.q.iter().skip(joint).step_by(dof).copied());
-        high - low
+        value_range(view.q.iter().skip(joint).step_by(dof).copied())
     };
     let whole_m = residual(view).combined_m(view.lever_m);
     [0, len / 4, len / 2].into_iter().any(|first| {

@@ -26,7 +26,7 @@ pub(crate) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Op
 mod tests;
 mod windows;
 
-use crate::samples::sampling::{monotonic_rows, range_of};
+use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
@@ -132,13 +132,11 @@ impl LatencyProfile {
                     (bin.t_s, fit.basis.latency_s(levels_s, at, bin.t_s))
                 };
                 let knots: Vec<(f64, f64)> = bins.map(level).collect();
-                let [low_s, high_s] = range_of(knots.iter().map(|knot| knot.1));
-                let of_knots = size_s(levels_s.imin(), levels_s.imax());
-                let swing_s = Measured { value: high_s - low_s, ..of_knots };
+                let value = value_range(knots.iter().map(|knot| knot.1));
+                let swing_s = Measured { value, ..size_s(levels_s.imin(), levels_s.imax()) };
                 profile(LatencyShape::Wander, swing_s, PiecewiseLatency { knots })
             }
             Basis::Load(load, _) => {
-                let [min, max] = range_of(load.iter().copied());
                 let slope = Measured {
                     value: levels_s[1],
                     std_error: covariance[(1, 1)].max(0.0).sqrt(),
@@ -148,7 +146,7 @@ impl LatencyProfile {
                 let knots =
                     bins.zip(load).map(|(bin, load)| (bin.t_s, levels_s[0] + levels_s[1] * load));
                 let levels = PiecewiseLatency { knots: knots.collect() };
-                let swing_s = slope.scaled(max - min);
+                let swing_s = slope.scaled(value_range(load.iter().copied()));
                 let skew = levels_s[2];
                 Self { skew, ..profile(LatencyShape::WithLoad, swing_s, levels) }
             }

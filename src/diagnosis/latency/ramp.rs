@@ -5,7 +5,7 @@ use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
 use super::piecewise::PiecewiseLatency;
 use super::speed_residual::{SpeedPairs, fit_rows, squared_residual};
-use crate::samples::sampling::range_of;
+use crate::samples::sampling::value_range;
 
 /// Fitted latency with its squared speed residual, and the residual of a linear latency.
 pub(crate) struct RampFit {
@@ -33,9 +33,9 @@ impl PiecewiseLatency {
         let knots_of_lags = knots_of_lags.chain([(end_s, last.lag_s)]);
         let knots: Vec<(f64, f64)> =
             knots_of_lags.map(|(t_s, lag_s)| (t_s + lag_s, lag_s)).collect();
-        let [low_s, high_s] = range_of(knots.iter().map(|knot| knot.1));
+        let range_s = value_range(knots.iter().map(|knot| knot.1));
         let is_in_order = knots.windows(2).all(|two| two[1].0 > two[0].0);
-        if knots.len() < MIN_KNOTS || high_s - low_s < MIN_VARIATION_S || !is_in_order {
+        if knots.len() < MIN_KNOTS || range_s < MIN_VARIATION_S || !is_in_order {
             return None;
         }
         let mut line = Self { knots: vec![knots[0], knots[knots.len() - 1]] };

@@ -8,7 +8,7 @@ use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
 };
-use crate::samples::sampling::{monotonic_rows, range_of, rows_within};
+use crate::samples::sampling::{monotonic_rows, rows_within, value_range};
 use crate::{EstimateResult, Measured};
 use ground::stats::parabola_minimum;
 
@@ -179,8 +179,7 @@ impl LatencySteps {
 
     /// Between the lowest and the highest level.
     pub(crate) fn swing_s(&self) -> f64 {
-        let [low_s, high_s] = range_of(self.levels.iter().map(|level| level.lag_s));
-        high_s - low_s
+        value_range(self.levels.iter().map(|level| level.lag_s))
     }
 
     /// Lag that remains when the steps are removed: the smallest in magnitude, s.

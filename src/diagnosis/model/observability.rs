@@ -9,7 +9,7 @@ use super::measurement::{
     LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
     STREAM_WIDTH, StreamState, TOOL_COLUMNS_START,
 };
-use crate::samples::sampling::range_of;
+use crate::samples::sampling::value_range;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -198,8 +198,7 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
 }
 
 pub(crate) fn travel(joints: &JointTrack, joint: usize) -> f64 {
-    let [low, high] = range_of(joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied());
-    (high - low).max(0.0)
+    value_range(joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied()).max(0.0)
 }
 
 /// Random configurations over the joints' ranges, at speeds of both signs.

@@ -46,6 +46,12 @@ pub fn range_of(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold(none, |[low, high], value| [low.min(value), high.max(value)])
 }
 
+/// Highest minus lowest value; −∞ without values.
+pub fn value_range(values: impl IntoIterator<Item = f64>) -> f64 {
+    let [low, high] = range_of(values);
+    high - low
+}
+
 /// Drops rows whose compensated stamps precede an earlier one.
 pub fn monotonic_rows(compensated_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
     let mut retained: Vec<(usize, f64)> = Vec::with_capacity(compensated_s.size_hint().0);

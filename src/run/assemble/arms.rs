@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
+use crate::diagnosis::value_range;
 use crate::robot::{LinkId, nearest};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
@@ -10,7 +11,6 @@ use super::super::arm::{Arm, ChainEnds};
 use super::super::catalogue_selection::RankingCriteria;
 use super::super::declaration::JointName;
 use super::super::error::RunError;
-use super::super::frozen::value_range;
 use super::super::given_calibrations::{self, GivenCalibration};
 use super::super::joints::JointTopic;
 use super::super::model::{LogModel, ModelClues};

@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use crate::diagnosis::value_range;
 use crate::run::arm::Arm;
-use crate::run::frozen::value_range;
 use crate::run::joints::{JointTopic, SortedSamples};
 use crate::time::Stamp;
 

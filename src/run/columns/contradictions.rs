@@ -1,7 +1,7 @@
 //! Table columns whose names contradict their numbers.
 
+use crate::diagnosis::value_range;
 use crate::log::{Log, Note};
-use crate::run::frozen::value_range;
 use crate::run::joint_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns};
 
