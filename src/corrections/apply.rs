@@ -350,17 +350,13 @@ fn correct_frames(
     correction: &TopicCorrection,
     unapplied: &mut UnappliedParts,
 ) {
-    let Orientations::Rotations(rotations) = &mut source.track.orientation else { return };
+    let Orientations::Rotations(_) = source.track.orientation else { return };
     unapplied.mark_applied("reference_from_stream");
     unapplied.mark_applied("tip_from_stream");
     let before = correction.reference_from_stream.map(|frame| frame.pose()).unwrap_or_default();
     let after = correction.tip_from_stream.map(|frame| frame.pose().inverse()).unwrap_or_default();
-    if before == Pose::identity() && after == Pose::identity() {
-        return;
-    }
-    for (xyz, rotation) in source.track.xyz.iter_mut().zip(rotations) {
-        let corrected = before * Pose::from_parts((*xyz).into(), *rotation) * after;
-        (*xyz, *rotation) = (corrected.translation.vector, corrected.rotation);
+    if before != Pose::identity() || after != Pose::identity() {
+        source.track.transform(&before, &after);
     }
 }
 

@@ -237,21 +237,6 @@ impl MatrixOrder {
     }
 }
 
-/// `before · logged · after`. Unnamed numbers have no frames and stay; positions without orientations
-/// change only their reference.
-pub(super) fn transform_track(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
-    if let Orientations::Unset(_) = track.orientation {
-        let moved = |xyz: &Vec3| (before * nalgebra::Point3::from(*xyz)).coords;
-        track.xyz = track.xyz.iter().map(moved).collect();
-    }
-    let Orientations::Rotations(rotations) = &mut track.orientation else { return track };
-    for (xyz, rotation) in track.xyz.iter_mut().zip(rotations) {
-        let pose = before * Pose::from_parts((*xyz).into(), *rotation) * after;
-        (*xyz, *rotation) = (pose.translation.vector, pose.rotation);
-    }
-    track
-}
-
 pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> StampedTrack<PoseTrack> {
     let rows: Rows = samples.iter().map(|(stamp, _)| *stamp).zip(0..).collect();
     track_of(&rows, origin, |row| {

@@ -7,7 +7,7 @@ use super::split_run::SplitRun;
 use crate::residuals::cause_columns::Frame;
 use crate::{FrameCorrection, JointOffset};
 use ground::geometry::Pose;
-use ground::stream::{Orientations, PoseTrack};
+use ground::stream::PoseTrack;
 
 /// [`super::cause_changes`] finds smaller steps. The tests measure steps on both sides of it.
 const MIN_STEP_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
@@ -114,7 +114,8 @@ pub(super) fn large_steps(
             }
         }
         for (s, [left, right]) in turns.iter().enumerate() {
-            let own = turned_back(segment.decoded_track(s), left, right);
+            let mut own = segment.decoded_track(s);
+            own.transform(&left.inverse(), &right.inverse());
             match &mut tracks[s] {
                 Some(track) => track.append(own),
                 none => *none = Some(own),
@@ -122,19 +123,6 @@ pub(super) fn large_steps(
         }
     }
     (!steps.is_empty()).then_some((steps, tracks))
-}
-
-fn turned_back(mut track: PoseTrack, left: &Pose, right: &Pose) -> PoseTrack {
-    let Orientations::Rotations(rotations) = &mut track.orientation else {
-        let left = left.inverse();
-        track.xyz.iter_mut().for_each(|xyz| *xyz = left.rotation * *xyz + left.translation.vector);
-        return track;
-    };
-    for (xyz, rotation) in track.xyz.iter_mut().zip(rotations) {
-        let pose = left.inv_mul(&Pose::from_parts((*xyz).into(), *rotation)) * right.inverse();
-        (*xyz, *rotation) = (pose.translation.vector, pose.rotation);
-    }
-    track
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-use crate::geometry::{AngleUnit, LengthScale, Rotation, Vec3};
+use crate::geometry::{AngleUnit, LengthScale, Pose, Rotation, Vec3};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 
 /// Joint positions over time. Times are seconds from the run's origin, strictly increasing.
@@ -197,6 +197,25 @@ impl PoseTrack {
         match (&mut self.orientation, other.orientation) {
             (Orientations::Rotations(own), Orientations::Rotations(other)) => own.extend(other),
             (own, _) => *own = Orientations::Unset(self.xyz.len()),
+        }
+    }
+
+    /// Transforms each pose from both sides. Positions without orientations change only their reference. Unnamed numbers
+    /// have no frames and stay.
+    pub fn transform(&mut self, before: &Pose, after: &Pose) {
+        match &mut self.orientation {
+            Orientations::Rotations(rotations) => {
+                for (xyz, rotation) in self.xyz.iter_mut().zip(rotations) {
+                    let pose = before * Pose::from_parts((*xyz).into(), *rotation) * after;
+                    (*xyz, *rotation) = (pose.translation.vector, pose.rotation);
+                }
+            }
+            Orientations::Unset(_) => {
+                for xyz in &mut self.xyz {
+                    *xyz = before.rotation * *xyz + before.translation.vector;
+                }
+            }
+            Orientations::Numbers(_) => {}
         }
     }
 

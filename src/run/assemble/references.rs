@@ -118,7 +118,8 @@ impl Assembly<'_> {
     fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
         let (arm, stream) = (&self.arms[owner], &self.streams[index]);
         let rows = self.selected_rows(index);
-        let track = poses::from_columns(stream.columns.as_ref(), &rows, None, self.origin)?.track;
+        let mut track =
+            poses::from_columns(stream.columns.as_ref(), &rows, None, self.origin)?.track;
         if track.t_s.is_empty() {
             return Err("it has no usable sample".to_owned());
         }
@@ -158,8 +159,9 @@ impl Assembly<'_> {
             _ => (Pose::identity(), false),
         };
         let before = base_from_link * link_from_frame;
+        track.transform(&before, &tip_from_child.inverse());
         Ok(ReferenceContent::Poses {
-            track: poses::transform_track(track, &before, &tip_from_child.inverse()),
+            track,
             tip_named: arm.tip_named || child_named,
             frame_named: place != FrameKind::Unnamed,
         })

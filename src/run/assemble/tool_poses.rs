@@ -475,13 +475,13 @@ impl Assembly<'_> {
         if frozen.iter().any(|frozen| frozen.is_whole_stream) {
             return Err("it repeats one value while the arm moves".to_owned().into());
         }
-        let StampedTrack { track, stamps } = logged;
+        let StampedTrack { mut track, stamps } = logged;
         if track.t_s.len() < 2 {
             return Err("it has fewer than two usable samples".to_owned().into());
         }
         let (before, after) =
             (stream_frames.base.link_from_frame, stream_frames.tip.link_from_frame.inverse());
-        let track = poses::transform_track(track, &before, &after);
+        track.transform(&before, &after);
         let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
         let moving_base = stream_frames.moving_frame.as_ref().map(|samples| MovingBase {
             frame: self.streams[index].frame_id.clone(),
