@@ -92,7 +92,8 @@ pub(super) fn remove_frozen(
     frozen.iter_mut().for_each(|frozen| frozen.is_whole_stream = left < 2);
     if !frozen.is_empty() {
         retain_samples(track, &kept);
-        retain(stamps, &kept);
+        let mut kept = kept.iter();
+        stamps.retain(|_| kept.next().is_none_or(|kept| *kept));
     }
     frozen
 }
@@ -313,23 +314,8 @@ pub(super) fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
 }
 
 pub(super) fn retain_samples(track: &mut PoseTrack, kept: &[bool]) {
-    retain(&mut track.t_s, kept);
-    retain(&mut track.xyz, kept);
-    match &mut track.orientation {
-        Orientations::Rotations(rotations) => retain(rotations, kept),
-        Orientations::Numbers(numbers) => retain(numbers, kept),
-        Orientations::Unset(samples) => *samples = track.t_s.len(),
-    }
-    if let Some(others) =
-        track.declared.as_mut().and_then(|declared| declared.in_other_angles.as_mut())
-    {
-        retain(others, kept);
-    }
-}
-
-fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
-    let mut kept = kept.iter();
-    values.retain(|_| kept.next().is_none_or(|kept| *kept));
+    let rows = kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(row, _)| row);
+    *track = track.at_rows(&rows.collect::<Vec<usize>>());
 }
 
 /// Least motion of the fastest joint in any span half as long as `hold` within `max_lag_s`. `None` outside

@@ -11,7 +11,7 @@ use crate::{
     detect_pose_latency_changes,
 };
 use ground::geometry::Pose;
-use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
+use ground::stream::{ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
 /// Run with constant latencies.
@@ -295,12 +295,7 @@ fn at_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
 
 fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
-    let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
-        in_other_angles: declared.in_other_angles.as_ref().map(|all| at_rows(all, &rows)),
-        ..*declared
-    });
-    let (xyz, orientation) = (at_rows(&track.xyz, &rows), track.orientation.at_rows(&rows));
-    PoseTrack { t_s, xyz, orientation, declared }
+    PoseTrack { t_s, ..track.at_rows(&rows) }
 }
 
 fn imu_with_rows(track: &ImuTrack, rows: &[(usize, f64)]) -> ImuTrack {

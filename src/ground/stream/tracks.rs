@@ -167,13 +167,16 @@ impl Orientations {
 
     /// The samples at these rows.
     pub fn at_rows(&self, rows: &[usize]) -> Self {
-        let rows = rows.iter().copied();
         match self {
-            Self::Rotations(all) => Self::Rotations(rows.map(|row| all[row]).collect()),
-            Self::Numbers(all) => Self::Numbers(rows.map(|row| all[row]).collect()),
+            Self::Rotations(all) => Self::Rotations(at_rows(all, rows)),
+            Self::Numbers(all) => Self::Numbers(at_rows(all, rows)),
             Self::Unset(_) => Self::Unset(rows.len()),
         }
     }
+}
+
+fn at_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+    rows.iter().map(|&row| values[row]).collect()
 }
 
 /// Poses over time. Times as in [`JointTrack`].
@@ -198,6 +201,16 @@ impl PoseTrack {
             (Orientations::Rotations(own), Orientations::Rotations(other)) => own.extend(other),
             (own, _) => *own = Orientations::Unset(self.xyz.len()),
         }
+    }
+
+    /// The samples at these rows.
+    pub fn at_rows(&self, rows: &[usize]) -> Self {
+        let declared = self.declared.as_ref().map(|declared| DeclaredUnits {
+            in_other_angles: declared.in_other_angles.as_ref().map(|all| at_rows(all, rows)),
+            ..*declared
+        });
+        let (t_s, xyz) = (at_rows(&self.t_s, rows), at_rows(&self.xyz, rows));
+        Self { t_s, xyz, orientation: self.orientation.at_rows(rows), declared }
     }
 
     /// Transforms each pose from both sides. Positions without orientations change only their reference. Unnamed numbers
