@@ -217,17 +217,15 @@ pub(crate) fn tool_fit(
 ) -> Option<ScoredFit> {
     let scale = metres_by_size(joints, stream);
     let zeros = (0..stream.chain.dof()).map(|joint| (FitCause::Zero { joint }, true));
+    let zeros: Vec<Assumption> = zeros.collect();
     let candidates = candidate_lags(joints, stream, max_lag_s).into_iter();
     let candidates =
         candidates.filter_map(|lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s)));
     let best = candidates.filter_map(|stream_with_fk| {
-        let mut fit = stream_with_fk.fit();
-        if with_zero {
-            fit.fits = zeros
-                .clone()
-                .flat_map(|assumption| stream_with_fk.fits_under(assumption))
-                .collect();
-        }
+        let fit = match with_zero {
+            true => stream_with_fk.fit_under(&zeros),
+            false => stream_with_fk.fit(),
+        };
         fit.best()
     });
     best.min_by(|a, b| a.score.total_cmp(&b.score))
