@@ -460,27 +460,19 @@ pub(super) fn correct_joints(
     if encoding.degrees.is_some() {
         track.convert_from_degrees(prismatic);
     }
-    if let Some((permutation, _)) = &encoding.permutation {
-        let named = track.clone();
-        for (to, from) in [(&mut track.q, &named.q), (&mut track.qd, &named.qd)] {
-            for (row, source) in to.chunks_exact_mut(joints.dof).zip(from.chunks_exact(joints.dof))
-            {
-                for (named, &really) in permutation.iter().enumerate() {
-                    row[really] = source[named];
-                }
+    let mut named = vec![0.0; joints.dof];
+    for values in [&mut track.q, &mut track.qd] {
+        for row in values.chunks_exact_mut(joints.dof.max(1)) {
+            if let Some((permutation, _)) = &encoding.permutation {
+                named.copy_from_slice(row);
+                permutation.iter().zip(&named).for_each(|(&really, value)| row[really] = *value);
             }
-        }
-    }
-    for unit_error in &encoding.unit_errors {
-        for values in [&mut track.q, &mut track.qd] {
-            let own = values.iter_mut().skip(unit_error.column).step_by(joints.dof);
-            own.for_each(|value| *value *= unit_error.factor);
-        }
-    }
-    for JointCoupling { column, by, factor } in &encoding.couplings {
-        for values in [&mut track.q, &mut track.qd] {
-            let rows = values.chunks_exact_mut(joints.dof);
-            rows.for_each(|row| row[*column] += factor.value * row[*by]);
+            for JointUnitError { column, factor, .. } in &encoding.unit_errors {
+                row[*column] *= factor;
+            }
+            for JointCoupling { column, by, factor } in &encoding.couplings {
+                row[*column] += factor.value * row[*by];
+            }
         }
     }
     track
