@@ -36,7 +36,7 @@ impl CoarseLatencyChange {
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
             Self::Steps(steps) => steps.compensated(t_s),
-            Self::Ramp(gradual) => gradual.compensated(t_s),
+            Self::Ramp(ramp) => ramp.compensated(t_s),
         }
     }
 
@@ -44,7 +44,7 @@ impl CoarseLatencyChange {
     pub fn steps(&self) -> Option<&LatencySteps> {
         match self {
             Self::Steps(steps) => Some(steps),
-            Self::Ramp(..) => None,
+            Self::Ramp(_) => None,
         }
     }
 
@@ -52,7 +52,7 @@ impl CoarseLatencyChange {
     pub fn ramp(&self) -> Option<&PiecewiseLatency> {
         match self {
             Self::Steps(_) => None,
-            Self::Ramp(gradual) => Some(gradual),
+            Self::Ramp(ramp) => Some(ramp),
         }
     }
 }
@@ -118,21 +118,20 @@ fn detect_changes(
         windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
     let steps =
         detect_steps(arm, stream, &followed).filter(|steps| steps.swing_s() >= MIN_VARIATION_S);
-    let Some(RampFit { ramp: gradual, residual: of_gradual, line_residual: of_line }) =
+    let Some(RampFit { ramp, residual, line_residual }) =
         PiecewiseLatency::fit_windows(arm, stream, &followed)
     else {
         return steps.map(CoarseLatencyChange::Steps);
     };
     let spread = squared_deviation(stream, &fit_rows(stream));
-    let of_steps = steps
-        .as_ref()
-        .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
+    let of_steps = |steps: &LatencySteps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s));
+    let steps_residual = steps.as_ref().map_or(f64::INFINITY, of_steps);
     // Linear growth is skew, not steps.
-    let steps = steps.filter(|_| of_steps < of_line);
+    let steps = steps.filter(|_| steps_residual < line_residual);
     let is_ramp =
-        of_gradual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line);
-    match is_ramp && of_gradual <= of_steps {
-        true => Some(CoarseLatencyChange::Ramp(gradual)),
+        residual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * line_residual);
+    match is_ramp && residual <= steps_residual {
+        true => Some(CoarseLatencyChange::Ramp(ramp)),
         false => steps.map(CoarseLatencyChange::Steps),
     }
 }
@@ -182,12 +181,12 @@ pub(crate) mod tests {
             let late =
                 |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
             let found = changed(late);
-            let gradual = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
+            let ramp = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
             for t_s in (1..39).map(f64::from) {
-                let off_s = gradual.at(t_s) - late(t_s);
+                let off_s = ramp.at(t_s) - late(t_s);
                 assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");
-                let straight_s = t_s - gradual.at(t_s);
-                assert!((gradual.logged_s(straight_s) - t_s).abs() < 1e-6, "{size_s} at {t_s} s");
+                let straight_s = t_s - ramp.at(t_s);
+                assert!((ramp.logged_s(straight_s) - t_s).abs() < 1e-6, "{size_s} at {t_s} s");
             }
         }
     }

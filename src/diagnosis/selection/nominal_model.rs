@@ -86,7 +86,7 @@ pub(crate) fn is_unsteady_beside_links(
     profile: &LatencyProfile,
     removed: Option<&PiecewiseLatency>,
 ) -> Option<bool> {
-    let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
+    let logged_s = |t_s: f64| removed.map_or(t_s, |ramp| ramp.logged_s(t_s));
     let logged = observations.with_stamps(logged_s);
     let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.levels.at(logged_s(t_s)));
     let as_logged = logged.linearize(state, offsets, MAX_SAMPLES);
