@@ -215,9 +215,9 @@ pub struct TableShape {
     /// Its columns, in the order of a row.
     pub numbers: Vec<TableNumber>,
     /// Column of the stamps.
-    pub time: Option<(usize, usize)>,
+    pub time: Option<Cell>,
     /// Column of their nanoseconds, if `time` holds whole seconds.
-    pub nanos: Option<(usize, usize)>,
+    pub nanos: Option<Cell>,
     /// Unit of the stamps, s, unless the numbers show that they are seconds.
     pub time_unit_s: Option<f64>,
     /// Set if the stamps are generated.
@@ -236,9 +236,18 @@ pub struct TableShape {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TableNumber {
     /// As in [`TableCell::at`]; `None` for text.
-    pub at: Option<(usize, usize)>,
+    pub at: Option<Cell>,
     /// Name in `[columns]` of a config.
     pub name: String,
+}
+
+/// Place of a number in the rows of a table.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub struct Cell {
+    /// Index of its column.
+    pub column: usize,
+    /// Index within the column.
+    pub part: usize,
 }
 
 /// One number in the rows of a table.
@@ -246,8 +255,8 @@ pub struct TableNumber {
 pub struct TableCell {
     /// Index of its table in [`Log::tables`].
     pub table: usize,
-    /// Index of its column in the table, and within the column.
-    pub at: (usize, usize),
+    /// Its place in a row.
+    pub at: Cell,
     /// Name in `[columns]` of a config.
     pub name: String,
     /// Encoding indicated by its rotation's names.

@@ -52,7 +52,7 @@ pub use self::calibration_table::{
     read_calibration_tables, read_number_table,
 };
 pub use self::contents::{
-    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
+    Cell, Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
     TableCell, TableNumber, TableShape, Topic, Undecodable,
 };
 pub use self::error::{CONFIGURATION_COLUMNS_REMEDY, LogError, POSE_TIMES_REMEDY, rate_remedy};

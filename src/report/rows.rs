@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ColumnRow, TableRow};
 use crate::finding::{Word, deserialize_optional_word, deserialize_word};
-use crate::log::{Log, TableShape};
+use crate::log::{Cell, Log, TableShape};
 use crate::run::{Arm, PoseSourceKind, Run, selectors};
 use crate::stream::Columns;
 use crate::time::Stamp;
@@ -138,7 +138,7 @@ pub(crate) fn table_rows(log: &Log) -> Vec<TableRow> {
 }
 
 /// Topic of a column, or why it has none.
-fn reading(log: &Log, table: usize, at: Option<(usize, usize)>) -> String {
+fn reading(log: &Log, table: usize, at: Option<Cell>) -> String {
     let Some(at) = at else { return "text, not numbers".to_owned() };
     let shape = &log.tables[table];
     if [shape.time, shape.nanos].contains(&Some(at)) {

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
-use super::{Column, ColumnSettings, Table, names};
+use super::{Cell, Column, ColumnSettings, Table, names};
 use crate::decode::excerpt;
 use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
@@ -101,10 +101,10 @@ pub(super) enum ClockError {
 pub(super) struct Clock {
     /// ns.
     pub stamps: Vec<Option<i64>>,
-    /// Column and index within its rows.
-    pub cell: Option<(usize, usize)>,
+    /// The numbers that it is read from.
+    pub cell: Option<Cell>,
     /// Set if `cell` holds whole seconds.
-    pub nanos: Option<(usize, usize)>,
+    pub nanos: Option<Cell>,
     /// Whether `nanos` holds microseconds.
     pub is_fraction_in_micros: bool,
     /// Origin of the stamps.
@@ -153,10 +153,10 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     if let Some(name) = &settings.time {
         let missing = || format!("`columns.time` names '{name}', but there is no such column");
         let cell = find_cell(table, name).ok_or_else(|| ClockError::Other(missing()))?;
-        let billionths = table.columns[cell.0].billionths.clone();
+        let billionths = table.columns[cell.column].billionths.clone();
         let own = Column { billionths, ..cell_column(table, cell, name.clone()) };
         let clock =
-            from_column(cell.0, &own, None).map(|clock| Clock { cell: Some(cell), ..clock });
+            from_column(cell.column, &own, None).map(|clock| Clock { cell: Some(cell), ..clock });
         return clock.ok_or_else(|| {
             let what = "but its numbers are not times: they must increase";
             ClockError::Other(format!("`columns.time` names '{name}', {what}"))
@@ -228,20 +228,20 @@ pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>,
         CellTime::Rate(rate_hz) => Some(from_rate(table, rate_hz, "from --columns")),
         CellTime::SecondsAndNanos(cells) => seconds_and_nanos(table, cells),
         CellTime::Column(cell, unit_s) => {
-            let column = &table.columns[cell.0];
+            let column = &table.columns[cell.column];
             let billionths = match column.width {
                 1 => column.billionths.clone(),
                 _ => table.exact_times.get(&cell).cloned().unwrap_or_default(),
             };
             let own = Column { billionths, ..cell_column(table, cell, table.cell_name(cell)) };
-            let clock = from_column(cell.0, &own, unit_s);
+            let clock = from_column(cell.column, &own, unit_s);
             clock.map(|clock| Clock { cell: Some(cell), ..clock })
         }
     };
     let refuse = || {
         let what = match time {
-            CellTime::Column((at, _), _) => {
-                let column = &table.columns[*at];
+            CellTime::Column(cell, _) => {
+                let column = &table.columns[cell.column];
                 if column.width == 1 { why_not_times(column) } else { NOT_INCREASING.to_owned() }
             }
             _ => "they are not whole seconds and nanoseconds".to_owned(),
@@ -256,18 +256,18 @@ const NOT_INCREASING: &str = "its numbers must increase, in s, ms, us or ns (suc
 /// Times that a layout declares.
 pub(super) enum CellTime {
     /// With its unit, s.
-    Column((usize, usize), Option<f64>),
-    SecondsAndNanos([(usize, usize); 2]),
+    Column(Cell, Option<f64>),
+    SecondsAndNanos([Cell; 2]),
     Rate(f64),
     Open,
 }
 
 /// Best clock per column group, keyed by the group's path, and all clocks outside of groups but `main`.
 pub(super) fn further_clocks(table: &Table, main: &Clock) -> (BTreeMap<String, Clock>, Vec<Clock>) {
-    let main = main.cell.filter(|(at, _)| group_of(&table.columns[*at].name).is_none());
+    let main = main.cell.filter(|cell| group_of(&table.columns[cell.column].name).is_none());
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
     let mut outside = Vec::new();
-    for clock in clocks_by_name(table, main.map(|(at, _)| at)) {
+    for clock in clocks_by_name(table, main.map(|cell| cell.column)) {
         match clock.name(table).and_then(group_of) {
             Some(group) => groups.entry(group.to_owned()).or_default().push(clock),
             None => outside.push(clock),
@@ -292,7 +292,7 @@ fn clocks_by_name(table: &Table, without: Option<usize>) -> Vec<Clock> {
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
             1 => from_sparse_column(at, column, None),
-            2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
+            2 => seconds_and_nanos(table, [0, 1].map(|part| Cell { column: at, part })),
             _ => None,
         })
         .collect();
@@ -301,7 +301,9 @@ fn clocks_by_name(table: &Table, without: Option<usize>) -> Vec<Clock> {
         let other = columns().find(|(_, other)| {
             other.width == 1 && stem_of(&other.name, 1e-9).as_ref() == Some(&stem)
         });
-        clocks.extend(other.and_then(|(other, _)| seconds_and_nanos(table, [(at, 0), (other, 0)])));
+        clocks.extend(other.and_then(|(other, _)| {
+            seconds_and_nanos(table, [at, other].map(|column| Cell { column, part: 0 }))
+        }));
     }
     clocks
 }
@@ -330,8 +332,8 @@ fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     })
 }
 
-fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock> {
-    let [seconds, nanos] = cells.map(|(at, part)| table.columns[at].numbers(part));
+fn seconds_and_nanos(table: &Table, cells: [Cell; 2]) -> Option<Clock> {
+    let [seconds, nanos] = cells.map(|cell| table.columns[cell.column].numbers(cell.part));
     let second = NANOS_PER_SECOND as f64;
     let micros = are_micros(seconds.clone(), nanos.clone());
     let unit = if micros { 1e3 } else { 1.0 };
@@ -345,20 +347,16 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     let steps = known.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / second);
     let (back, step_s) = backward_and_median_step(steps)?;
     // Fractions in another unit never approach a second.
-    let is_nanos =
-        cells[1].0 != cells[0].0 || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
+    let is_one_column = cells[0].column == cells[1].column;
+    let is_nanos = !is_one_column || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
     if falls_often(back, known.len()) || 2 * known.len() < stamps.len() || !is_nanos {
         return None;
     }
-    let name = |at: usize| &table.columns[at].name;
     let fraction = if micros { "µs, because it never reaches 1 ms in ns" } else { "ns" };
-    let description = match cells {
-        [(one, _), (other, _)] if one == other => {
-            format!("stamps from column '{}', s and {fraction}", name(one))
-        }
-        [(one, _), (other, _)] => {
-            format!("stamps from columns '{}', s, and '{}', {fraction}", name(one), name(other))
-        }
+    let [one, other] = cells.map(|cell| &table.columns[cell.column].name);
+    let description = match is_one_column {
+        true => format!("stamps from column '{one}', s and {fraction}"),
+        false => format!("stamps from columns '{one}', s, and '{other}', {fraction}"),
     };
     let [cell, nanos] = cells;
     Some(Clock {
@@ -430,8 +428,9 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     let columns = table.columns.iter().enumerate();
     for (at, column) in columns.filter(|(_, column)| !is_counter(column)) {
         for part in 0..column.width {
-            let own = cell_column(table, (at, part), String::new());
-            let clock = clock_of_numbers(table, (at, part), &own);
+            let cell = Cell { column: at, part };
+            let own = cell_column(table, cell, String::new());
+            let clock = clock_of_numbers(table, cell, &own);
             let Some(clock) = clock.filter(|_| is_even(&own.values)) else { continue };
             alike += 1;
             let is_known = found.iter().any(|(_, other)| is_linear_in(&other.values, &own.values));
@@ -480,9 +479,10 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
         return None;
     }
     let clock = |part: usize| {
-        let own = cell_column(table, (0, part), String::new());
+        let cell = Cell { column: 0, part };
+        let own = cell_column(table, cell, String::new());
         let is_clock = exceed_joints(&own.values) && increases_like_times(&own.values, &own.kind);
-        if is_clock { clock_of_numbers(table, (0, part), &own) } else { None }
+        if is_clock { clock_of_numbers(table, cell, &own) } else { None }
     };
     match [clock(0), clock(column.width - 1)] {
         [Some(own), None] | [None, Some(own)] => Some(own),
@@ -491,8 +491,8 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
 }
 
 /// The clock of the cell whose numbers `own` holds without a name.
-fn clock_of_numbers(table: &Table, cell: (usize, usize), own: &Column) -> Option<Clock> {
-    let clock = from_column(cell.0, own, None)?;
+fn clock_of_numbers(table: &Table, cell: Cell, own: &Column) -> Option<Clock> {
+    let clock = from_column(cell.column, own, None)?;
     let name = table.cell_name(cell);
     let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
     Some(Clock { cell: Some(cell), description, unnamed_column: Some(name), ..clock })
@@ -581,14 +581,13 @@ fn is_linear_in(one: &[f64], other: &[f64]) -> bool {
 }
 
 /// Accepts `NAME` and `NAME[INDEX]`.
-fn find_cell(table: &Table, name: &str) -> Option<(usize, usize)> {
-    let column = |name: &str| table.column(name);
-    if let Some(at) = column(name) {
-        return Some((at, 0));
+fn find_cell(table: &Table, name: &str) -> Option<Cell> {
+    if let Some(column) = table.column(name) {
+        return Some(Cell { column, part: 0 });
     }
     let (vector, part) = name.strip_suffix(']')?.rsplit_once('[')?;
-    let (at, part) = (column(vector)?, part.parse().ok()?);
-    (part < table.columns[at].width).then_some((at, part))
+    let (column, part) = (table.column(vector)?, part.parse().ok()?);
+    (part < table.columns[column].width).then_some(Cell { column, part })
 }
 
 pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
@@ -611,9 +610,9 @@ pub(super) fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
 }
 
 /// The numbers of a cell, as a column of this name.
-fn cell_column(table: &Table, (at, part): (usize, usize), name: String) -> Column {
-    let column = &table.columns[at];
-    let (kind, values) = (column.kind.clone(), column.numbers(part).collect());
+fn cell_column(table: &Table, cell: Cell, name: String) -> Column {
+    let column = &table.columns[cell.column];
+    let (kind, values) = (column.kind.clone(), column.numbers(cell.part).collect());
     Column { name, kind, width: 1, values, ..Column::default() }
 }
 
@@ -725,7 +724,7 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
     }
     Some(Clock {
         stamps: values.iter().enumerate().map(nanos).collect(),
-        cell: Some((at, 0)),
+        cell: Some(Cell { column: at, part: 0 }),
         description,
         unit_s: (is_declared || unit != 1.0).then_some(unit),
         step_s,
@@ -768,7 +767,7 @@ impl Clock {
     }
 
     fn name<'a>(&self, table: &'a Table) -> Option<&'a str> {
-        self.cell.map(|(at, _)| table.columns[at].name.as_str())
+        self.cell.map(|cell| table.columns[cell.column].name.as_str())
     }
 
     /// Words of its name that are neither times nor units, in the singular: `tcp` of `tcp_times`.
@@ -795,8 +794,8 @@ impl Clock {
 
     pub fn contradiction(&self, table: &Table) -> Option<String> {
         const MAX_RATE_DEVIATION: f64 = 0.02;
-        if let (Some((at, _)), true) = (self.nanos, self.is_fraction_in_micros) {
-            let name = &table.columns[at].name;
+        if let (Some(cell), true) = (self.nanos, self.is_fraction_in_micros) {
+            let name = &table.columns[cell.column].name;
             let is_named =
                 names::split_words(name).iter().any(|word| unit_by_word(word) == Some(1e-9));
             return is_named.then(|| format!("the name '{name}' indicates ns, but it counts µs"));

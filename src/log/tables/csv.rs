@@ -11,8 +11,8 @@ use jiff::civil::{Date, Time};
 
 use super::text_rows::{self, RowFormat, TextRows};
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, file_names,
-    labelled_lines, text_encoding, vector_cells,
+    Cell, Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock,
+    file_names, labelled_lines, text_encoding, vector_cells,
 };
 use crate::rtde::{self, unquoted};
 
@@ -469,7 +469,7 @@ fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
         for (part, &at) in numeric.iter().enumerate() {
             let exact = std::mem::take(&mut billionths[at]);
             if !exact.is_empty() {
-                made.exact_times.insert((0, part), exact);
+                made.exact_times.insert(Cell { column: 0, part }, exact);
             }
         }
         if !made.text_columns.is_empty() {

@@ -12,8 +12,8 @@ use super::clock::{self, Clock, TWO_TURNS_RAD};
 use super::names::{self, PoseComponent, PosePart};
 use super::row_layout::pose_order;
 use super::{
-    Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns, joint_columns,
-    pose_columns, row_losses,
+    Cell, Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns,
+    joint_columns, pose_columns, row_losses,
 };
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
@@ -29,12 +29,6 @@ const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
 const MIN_CELLS: usize = 3;
 /// LeRobot's counters; no measurements.
 const COUNTER_COLUMNS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
-
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-struct Cell {
-    column: usize,
-    part: usize,
-}
 
 enum ColumnMeaning {
     /// `unnamed` if the joint names are generated.
@@ -99,13 +93,13 @@ pub(super) fn identify_topics(
         true => clock::further_clocks(table, clock),
         false => Default::default(),
     };
-    let clocks: HashSet<(usize, usize)> = own_clocks
+    let clocks: HashSet<Cell> = own_clocks
         .values()
         .chain([clock])
         .flat_map(|clock| [clock.cell, clock.nanos])
         .flatten()
         .collect();
-    let is_clock = |cell: &Cell| clocks.contains(&(cell.column, cell.part));
+    let is_clock = |cell: &Cell| clocks.contains(cell);
     let open: Vec<usize> =
         (0..table.columns.len()).filter(|&at| table.columns[at].width > 0).collect();
     let identified = taken_by(&groups);
@@ -152,10 +146,8 @@ pub(super) fn identify_topics(
         let in_group = home
             .and_then(|home| own_clocks.get(home))
             .filter(|_| group.cells.iter().all(|cell| group_of(cell) == home));
-        let is_time = group
-            .cells
-            .iter()
-            .any(|cell| further.iter().any(|clock| clock.cell == Some((cell.column, cell.part))));
+        let is_time =
+            group.cells.iter().any(|cell| further.iter().any(|clock| clock.cell == Some(*cell)));
         match in_group {
             Some(own) => (clock, own),
             None if is_time => (clock, clock),
@@ -165,9 +157,7 @@ pub(super) fn identify_topics(
     let sampling = Sampling::of_groups(table, &groups);
     let with_clock: Vec<(&Clock, &Clock)> = groups.iter().map(clock_of).collect();
     let is_used = |group: &ColumnGroup| match group.cells.as_slice() {
-        [Cell { column, part }] => {
-            with_clock.iter().any(|(_, own)| own.cell == Some((*column, *part)))
-        }
+        [only] => with_clock.iter().any(|(_, own)| own.cell == Some(*only)),
         _ => false,
     };
     let groups = groups.into_iter().zip(&with_clock).filter(|(group, _)| !is_used(group));
@@ -263,18 +253,12 @@ fn name(table: &Table, cell: Cell) -> &str {
 }
 
 /// In the notation `NAME[INDEX]` of the configuration.
-fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
-    let (at, name) = ((column, part), table.cell_name((column, part)));
-    TableCell { table: 0, at, name, labels: None, is_unidentified: false }
+fn table_cell(table: &Table, at: Cell) -> TableCell {
+    TableCell { table: 0, at, name: table.cell_name(at), labels: None, is_unidentified: false }
 }
 
 fn numbers(table: &Table, cell: Cell) -> impl Iterator<Item = f64> + Clone {
     table.columns[cell.column].numbers(cell.part)
-}
-
-/// NaN if the row is missing.
-fn number(table: &Table, row: usize, cell: Cell) -> f64 {
-    table.number(row, (cell.column, cell.part))
 }
 
 /// Measured values change and have fractions.
@@ -509,7 +493,7 @@ fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     /// Share of the rows, and tolerance for rounding to two digits.
     const MIN_UNIT_PERCENT: usize = 95;
     const MAX_NORM_DEVIATION: f64 = 0.03;
-    let square = |row: usize, cell: &Cell| number(table, row, *cell).powi(2);
+    let square = |row: usize, cell: &Cell| table.number(row, *cell).powi(2);
     let norm = |row: usize| cells.iter().map(|cell| square(row, cell)).sum::<f64>().sqrt();
     let unit = (0..table.rows).filter(|&row| (norm(row) - 1.0).abs() < MAX_NORM_DEVIATION).count();
     100 * unit >= MIN_UNIT_PERCENT * table.rows
@@ -600,7 +584,7 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
 /// They must be much closer to the positions than to their rates, in either unit of angles.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
-    let value = |row: usize, cell: &Cell| number(table, row, *cell);
+    let value = |row: usize, cell: &Cell| table.number(row, *cell);
     let (mut to_positions, mut to_rates, mut to_radians) = (0.0, 0.0, 0.0);
     for row in 1..table.rows.saturating_sub(1) {
         let stamps = [row - 1, row + 1].map(|row| clock.stamps.get(row).copied().flatten());
@@ -917,7 +901,7 @@ impl ColumnGroup {
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
-        let at = |row: usize, cell: &Cell| number(table, row, *cell);
+        let at = |row: usize, cell: &Cell| table.number(row, *cell);
         let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
         let with_losses: Vec<usize> =
             columns.into_iter().filter(|column| table.lost_rows.contains_key(column)).collect();

@@ -51,7 +51,7 @@ use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::MappedFile;
 use super::memory_budget::MemoryBudget;
-use super::{Container, Extent, LogError, TableCell, TableNumber, TableShape};
+use super::{Cell, Container, Extent, LogError, TableCell, TableNumber, TableShape};
 use ground::stream::{
     ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns, Times, is_usable,
 };
@@ -128,8 +128,8 @@ pub(super) struct Table {
     pub is_one_of_several: bool,
     /// Positions of text columns in a row of the file.
     pub text_columns: Vec<usize>,
-    /// Times in text of columns without names, in billionths, by column and index.
-    pub exact_times: BTreeMap<(usize, usize), Vec<Option<i128>>>,
+    /// Times in text of columns without names, in billionths.
+    pub exact_times: BTreeMap<Cell, Vec<Option<i128>>>,
     /// Times of its rows from another file, whose name it has.
     pub times: Option<Column>,
 }
@@ -150,11 +150,11 @@ impl Table {
         }
     }
 
-    /// Column and index of each number in a row, in the order of the file; `None` for text.
-    fn row_cells(&self) -> Vec<Option<(usize, usize)>> {
+    /// The numbers in a row, in the order of the file; `None` for text.
+    fn row_cells(&self) -> Vec<Option<Cell>> {
         let columns = self.columns.iter().enumerate();
         let mut numbers =
-            columns.flat_map(|(at, column)| (0..column.width).map(move |part| (at, part)));
+            columns.flat_map(|(column, own)| (0..own.width).map(move |part| Cell { column, part }));
         let width = self.columns.iter().map(|column| column.width).sum::<usize>();
         let is_text = |at: &usize| self.text_columns.contains(at);
         let all = 0..width + self.text_columns.len();
@@ -162,19 +162,19 @@ impl Table {
     }
 
     /// NaN if the row is missing.
-    fn number(&self, row: usize, (column, part): (usize, usize)) -> f64 {
+    fn number(&self, row: usize, Cell { column, part }: Cell) -> f64 {
         let column = &self.columns[column];
         column.values.get(row * column.width + part).copied().unwrap_or(f64::NAN)
     }
 
     /// Name of a number in `[columns]` of a config.
-    fn cell_name(&self, (column, part): (usize, usize)) -> String {
+    fn cell_name(&self, Cell { column, part }: Cell) -> String {
         let Column { name, width, .. } = &self.columns[column];
         if *width == 1 { name.clone() } else { format!("{name}[{part}]") }
     }
 
     fn shape(&self, path: &Path, clock: &clock::Clock) -> TableShape {
-        let number = |cell: Option<(usize, usize)>| TableNumber {
+        let number = |cell: Option<Cell>| TableNumber {
             at: cell,
             name: cell.map_or_else(|| "text".to_owned(), |cell| self.cell_name(cell)),
         };

@@ -259,7 +259,7 @@ fn describe_rows(lost: &[Range<usize>], rows: usize) -> String {
 /// Rows with numbers but without a stamp.
 pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses: &mut Losses) {
     let clocks: Vec<usize> =
-        [clock.cell, clock.nanos].into_iter().flatten().map(|(at, _)| at).collect();
+        [clock.cell, clock.nanos].into_iter().flatten().map(|cell| cell.column).collect();
     let has_numbers = |row: usize| {
         let mut others = table.columns.iter().enumerate().filter(|(at, _)| !clocks.contains(at));
         others.any(|(_, column)| column.has_numbers(row))
@@ -268,7 +268,7 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
     let unstamped = clock.stamps.iter().enumerate().filter(|(_, stamp)| stamp.is_none());
     let lost = unstamped.filter(|(row, _)| !is_reported(*row) && has_numbers(*row)).count();
     if lost > 0 {
-        let column = clock.cell.and_then(|(at, _)| table.columns.get(at));
+        let column = clock.cell.and_then(|cell| table.columns.get(cell.column));
         let column = column.map_or(String::new(), |column| format!(" in '{}'", column.name));
         let what = format!("{label}{lost} of {} rows have no stamp{column}", table.rows);
         losses.add_unplaced(Extent::Messages, Some(lost as u64), what);

@@ -646,11 +646,10 @@ impl<'a> ColumnSearch<'a> {
         let table = &self.cells.table;
         let mut runs: Vec<Vec<usize>> = Vec::new();
         for (at, number) in numbers.iter().enumerate().filter(|(_, it)| it.cell.is_unidentified) {
-            let (column, part) = number.cell.at;
             let is_next = |last: usize| {
-                let other = numbers[last].cell.at;
+                let (other, own) = (numbers[last].cell.at, number.cell.at);
                 last + 1 == at
-                    && (other == (column, part.wrapping_sub(1)) || other.0 != column)
+                    && (other.column != own.column || other.part + 1 == own.part)
                     && self.are_alike(&[last, at])
             };
             match runs.last_mut() {

@@ -2,7 +2,7 @@
 
 use crate::geometry::{AngleUnit, Units};
 use crate::log::{
-    LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
+    Cell, LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
 };
 use crate::run::role::{Role, role_by_content, role_outside_arm};
 use crate::stream::{Columns, JointColumns};
@@ -42,21 +42,16 @@ pub(super) fn layout(
     table: usize,
     assignments: &[Assignment],
 ) -> Option<RowLayout> {
+    let place = |cell: Cell| shape.numbers.iter().position(|number| number.at == Some(cell));
     let mut parts: Vec<Option<Part>> = vec![None; shape.numbers.len()];
     for assignment in assignments {
-        let own = assignment.cells.iter().map(|cell| {
-            let is_it = |at: &Option<(usize, usize)>| cell.table == table && *at == Some(cell.at);
-            shape.numbers.iter().position(|number| is_it(&number.at))
-        });
+        let own = assignment.cells.iter();
+        let own = own.map(|cell| place(cell.at).filter(|_| cell.table == table));
         let places: Vec<usize> = own.collect::<Option<_>>()?;
         for (place, part) in assignment.parts(&places)? {
             parts[place] = Some(part);
         }
     }
-    let place = |cell: Option<(usize, usize)>| {
-        let cell = cell?;
-        shape.numbers.iter().position(|number| number.at == Some(cell))
-    };
     let row = |meaning: Meaning| Part {
         arm: None,
         is_command: false,
@@ -64,11 +59,11 @@ pub(super) fn layout(
         unit: None,
         within: (0, 1),
     };
-    if let Some(at) = place(shape.time) {
+    if let Some(at) = shape.time.and_then(place) {
         let meaning = if shape.nanos.is_some() { Meaning::Seconds } else { Meaning::Time };
         parts[at] = Some(row(meaning));
     }
-    if let Some(at) = place(shape.nanos) {
+    if let Some(at) = shape.nanos.and_then(place) {
         parts[at] = Some(row(Meaning::Nanoseconds));
     }
     let mut items: Vec<LayoutItem> = Vec::new();

@@ -26,9 +26,7 @@ impl LayoutColumns {
         layout: &RowLayout,
         table: &mut Table,
     ) -> Result<Self, String> {
-        let places = table.row_cells();
-        let cells: Vec<Option<Cell>> =
-            places.iter().map(|place| place.map(|(column, part)| Cell { column, part })).collect();
+        let cells = table.row_cells();
         let meanings = layout.meanings();
         if meanings.len() != cells.len() {
             return Err(format!(
@@ -49,10 +47,9 @@ impl LayoutColumns {
         }
         // Only numbers are left in the groups and times.
         let cell = |at: usize| cells[at].unwrap_or(Cell { column: 0, part: 0 });
-        let place = |at: usize| (cell(at).column, cell(at).part);
         let time = match layout.time() {
-            LayoutTime::Column { index, unit_s } => CellTime::Column(place(index), unit_s),
-            LayoutTime::SecondsAndNanos(both) => CellTime::SecondsAndNanos(both.map(place)),
+            LayoutTime::Column { index, unit_s } => CellTime::Column(cell(index), unit_s),
+            LayoutTime::SecondsAndNanos(both) => CellTime::SecondsAndNanos(both.map(cell)),
             LayoutTime::Rate(rate_hz) => CellTime::Rate(rate_hz),
             LayoutTime::Open => CellTime::Open,
         };
@@ -123,7 +120,7 @@ impl LayoutColumns {
             let (first, last) = (cells[0], cells[cells.len() - 1]);
             let column = &table.columns[first.column];
             let topic = match cells.len() {
-                1 => table.cell_name((first.column, first.part)),
+                1 => table.cell_name(first),
                 count if count == column.width => column.name.clone(),
                 _ => format!("{}[{}:{}]", column.name, first.part, last.part + 1),
             };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{Cell, ColumnGroup, ColumnMeaning, number};
+use super::{Cell, ColumnGroup, ColumnMeaning};
 use crate::tables::Table;
 
 /// Distinct sets of rows that are compared with each other.
@@ -45,6 +45,6 @@ fn count_rows(rows: impl Iterator<Item = bool>) -> usize {
 }
 
 pub(super) fn rows_with_numbers(table: &Table, cells: &[Cell]) -> Vec<bool> {
-    let has_number = |row: usize| cells.iter().any(|cell| number(table, row, *cell).is_finite());
+    let has_number = |row: usize| cells.iter().any(|cell| table.number(row, *cell).is_finite());
     (0..table.rows).map(has_number).collect()
 }
