@@ -155,9 +155,7 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
         let cell = find_cell(table, name).ok_or_else(|| ClockError::Other(missing()))?;
         let billionths = table.columns[cell.column].billionths.clone();
         let own = Column { billionths, ..cell_column(table, cell, name.clone()) };
-        let clock =
-            from_column(cell.column, &own, None).map(|clock| Clock { cell: Some(cell), ..clock });
-        return clock.ok_or_else(|| {
+        return from_column(Some(cell), &own, None).ok_or_else(|| {
             let what = "but its numbers are not times: they must increase";
             ClockError::Other(format!("`columns.time` names '{name}', {what}"))
         });
@@ -174,9 +172,9 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     let best = best_clock(clocks, table);
     let of_file = || {
         let times = table.times.as_ref()?;
-        let clock = from_column(0, times, None)?;
+        let clock = from_column(None, times, None)?;
         let description = clock.description.replacen("column", "file", 1);
-        Some(Clock { cell: None, description, ..clock })
+        Some(Clock { description, ..clock })
     };
     let best = best.or_else(of_file).or_else(|| from_time_steps(table));
     match (best, table.rate_hz) {
@@ -213,9 +211,9 @@ fn from_time_steps(table: &Table) -> Option<Clock> {
         Some(*sum)
     });
     let times = Column { values: values.collect(), billionths: Vec::new(), ..column.clone() };
-    let clock = from_column(0, &times, None)?;
+    let clock = from_column(None, &times, None)?;
     let description = clock.description.replacen("stamps from", "stamps summed from", 1);
-    Some(Clock { cell: None, description, ..clock })
+    Some(Clock { description, ..clock })
 }
 
 /// Clock that a layout declares; `None` if it leaves the times open.
@@ -234,8 +232,7 @@ pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>,
                 _ => table.exact_times.get(&cell).cloned().unwrap_or_default(),
             };
             let own = Column { billionths, ..cell_column(table, cell, table.cell_name(cell)) };
-            let clock = from_column(cell.column, &own, unit_s);
-            clock.map(|clock| Clock { cell: Some(cell), ..clock })
+            from_column(Some(cell), &own, unit_s)
         }
     };
     let refuse = || {
@@ -291,7 +288,7 @@ fn clocks_by_name(table: &Table, without: Option<usize>) -> Vec<Clock> {
     let times = wanted().filter(|(_, column)| is_named(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
-            1 => from_sparse_column(at, column, None),
+            1 => from_sparse_column(Some(Cell { column: at, part: 0 }), column, None),
             2 => seconds_and_nanos(table, [0, 1].map(|part| Cell { column: at, part })),
             _ => None,
         })
@@ -492,10 +489,10 @@ fn clock_at_edge(table: &Table) -> Option<Clock> {
 
 /// The clock of the cell whose numbers `own` holds without a name.
 fn clock_of_numbers(table: &Table, cell: Cell, own: &Column) -> Option<Clock> {
-    let clock = from_column(cell.column, own, None)?;
+    let clock = from_column(Some(cell), own, None)?;
     let name = table.cell_name(cell);
     let description = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
-    Some(Clock { cell: Some(cell), description, unnamed_column: Some(name), ..clock })
+    Some(Clock { description, unnamed_column: Some(name), ..clock })
 }
 
 fn why_not_times(column: &Column) -> String {
@@ -559,7 +556,7 @@ pub(super) fn increases_like_times(values: &[f64], kind: &str) -> bool {
     is_rising
         && middle > 0.0
         && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
-        && from_column(0, &column, None).is_some()
+        && from_column(None, &column, None).is_some()
 }
 
 /// Whether increasing numbers exceed two turns, which no joint in rad does.
@@ -617,8 +614,8 @@ fn cell_column(table: &Table, cell: Cell, name: String) -> Column {
 }
 
 /// `None` if it does not hold times in at least half of the rows. `unit_s` is declared.
-fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
-    from_sparse_column(at, column, unit_s).filter(Clock::covers_most_rows)
+fn from_column(cell: Option<Cell>, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
+    from_sparse_column(cell, column, unit_s).filter(Clock::covers_most_rows)
 }
 
 /// Seconds since 1970 of dates from 2000 to 2100 in days: since 1899-12-30 in spreadsheets, since year 0 in MATLAB.
@@ -661,13 +658,13 @@ fn seconds_of_digits(column: &Column) -> Option<Column> {
 }
 
 /// The other rows may belong to other streams.
-fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
+fn from_sparse_column(cell: Option<Cell>, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let of_dates = || {
         let days = seconds_of_days(column).map(|own| (own, "in days"));
         days.or_else(|| Some((seconds_of_digits(column)?, "in digits")))
     };
     if let Some((seconds, form)) = unit_s.is_none().then(of_dates).flatten() {
-        let clock = from_sparse_column(at, &seconds, Some(1.0))?;
+        let clock = from_sparse_column(cell, &seconds, Some(1.0))?;
         let description = clock.description.replacen("', s", &format!("', dates {form}"), 1);
         return Some(Clock { description, unit_s: None, ..clock });
     }
@@ -724,7 +721,7 @@ fn from_sparse_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option
     }
     Some(Clock {
         stamps: values.iter().enumerate().map(nanos).collect(),
-        cell: Some(Cell { column: at, part: 0 }),
+        cell,
         description,
         unit_s: (is_declared || unit != 1.0).then_some(unit),
         step_s,
