@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use super::clock::{self, Clock, TWO_TURNS_RAD};
 use super::names::{self, PoseComponent, PosePart};
 use super::row_layout::pose_order;
+use super::velocity_files::follow_positions;
 use super::{
     Cell, Column, ColumnSettings, RowStamps, Table, TableTopic, Velocities, array_columns,
     joint_columns, pose_columns, row_losses,
@@ -544,7 +545,11 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
             continue;
         }
         let is_open = own.iter().any(|cell| names::is_ambiguous_velocity(&words_of(cell)));
-        if is_open && are_desired(table, clock, cells, &own) {
+        let stamp = |row: usize| clock.stamps.get(row).copied().flatten();
+        let pair = |joint: usize, row: usize| {
+            [cells[joint], own[joint]].map(|cell| table.number(row, cell))
+        };
+        if is_open && follow_positions(table.rows, cells.len(), stamp, pair) {
             commands.push((own, names.clone(), *unnamed));
             continue;
         }
@@ -579,28 +584,6 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
             names::numbered(first).map_or_else(|| first.to_owned(), |(stem, _)| stem.join("_"))
         }
     }
-}
-
-/// They must be much closer to the positions than to their rates, in either unit of angles.
-fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
-    const MAX_DISTANCE_RATIO: f64 = 0.5;
-    let value = |row: usize, cell: &Cell| table.number(row, *cell);
-    let (mut to_positions, mut to_rates, mut to_radians) = (0.0, 0.0, 0.0);
-    for row in 1..table.rows.saturating_sub(1) {
-        let stamps = [row - 1, row + 1].map(|row| clock.stamps.get(row).copied().flatten());
-        let [Some(before), Some(after)] = stamps else { continue };
-        let step_s = (after - before) as f64 * 1e-9;
-        for (position, other) in positions.iter().zip(others) {
-            let rate = (value(row + 1, position) - value(row - 1, position)) / step_s;
-            let [own, there] = [position, other].map(|cell| value(row, cell));
-            if step_s > 0.0 && rate.is_finite() && own.is_finite() && there.is_finite() {
-                to_positions += (there - own).powi(2);
-                to_rates += (there - rate).powi(2);
-                to_radians += (there - rate.to_radians()).powi(2);
-            }
-        }
-    }
-    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * f64::min(to_rates, to_radians)
 }
 
 /// Joints named after parts of an arm.

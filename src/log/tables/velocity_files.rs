@@ -9,7 +9,7 @@ use crate::decode::Format;
 use crate::intake::Intake;
 use ground::geometry::AngleUnit;
 use ground::stats::median;
-use ground::stream::{Columns, JointColumns, usable_or_nan};
+use ground::stream::{Columns, usable_or_nan};
 
 /// Maximum difference between the stamps of velocities and positions, as a share of the step between rows.
 const MAX_STAMP_DEVIATION: f64 = 0.1;
@@ -111,28 +111,42 @@ impl Velocities {
             let value = |row: &Option<&[f64]>| row.map_or(f64::NAN, |row| row[at] * factor);
             found.iter().map(value).map(usable_or_nan).collect()
         };
-        if (0..joints.joints.len()).all(|at| follow_positions(joints, at, &velocities(at))) {
+        let velocities: Vec<Vec<f64>> = (0..joints.joints.len()).map(velocities).collect();
+        let stamp = |row: usize| joints.times.header.get(row).copied();
+        let pair = |at: usize, row: usize| [joints.joints[at].position[row], velocities[at][row]];
+        if follow_positions(found.len(), velocities.len(), stamp, pair) {
             return Err("but they follow the joint positions, not their rates");
         }
-        for (at, joint) in joints.joints.iter_mut().enumerate() {
-            joint.velocity = velocities(at).into();
+        for (joint, own) in joints.joints.iter_mut().zip(velocities) {
+            joint.velocity = own.into();
         }
         Ok(())
     }
 }
 
-/// Whether numbers are much closer to the positions than to their rates, as desired positions are.
-fn follow_positions(joints: &JointColumns, joint: usize, values: &[f64]) -> bool {
+/// Whether numbers are much closer to joint positions than to their rates in either unit of angles, as desired positions
+/// are. `pair` returns the position of a joint in a row, and the number.
+pub(super) fn follow_positions(
+    rows: usize,
+    joints: usize,
+    stamp: impl Fn(usize) -> Option<i64>,
+    pair: impl Fn(usize, usize) -> [f64; 2],
+) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
-    let (q, stamps) = (&joints.joints[joint].position, &joints.times.header);
-    let (mut to_positions, mut to_rates) = (0.0, 0.0);
-    for row in 1..q.len().saturating_sub(1) {
-        let step_s = stamps[row + 1].saturating_sub(stamps[row - 1]) as f64 * 1e-9;
-        let rate = (q[row + 1] - q[row - 1]) / step_s;
-        if step_s > 0.0 && rate.is_finite() && values[row].is_finite() && q[row].is_finite() {
-            to_positions += (values[row] - q[row]).powi(2);
-            to_rates += (values[row] - rate).powi(2);
+    let (mut to_positions, mut to_rates, mut to_radians) = (0.0, 0.0, 0.0);
+    for row in 1..rows.saturating_sub(1) {
+        let (Some(before), Some(after)) = (stamp(row - 1), stamp(row + 1)) else { continue };
+        let step_s = after.saturating_sub(before) as f64 * 1e-9;
+        for joint in 0..joints {
+            let [[before, _], [position, number], [after, _]] =
+                [row - 1, row, row + 1].map(|row| pair(joint, row));
+            let rate = (after - before) / step_s;
+            if step_s > 0.0 && rate.is_finite() && position.is_finite() && number.is_finite() {
+                to_positions += (number - position).powi(2);
+                to_rates += (number - rate).powi(2);
+                to_radians += (number - rate.to_radians()).powi(2);
+            }
         }
     }
-    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * to_rates
+    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * f64::min(to_rates, to_radians)
 }
