@@ -6,14 +6,14 @@
 use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
 use crate::geometry::Vec3;
 use crate::log::{Log, Note, Topic};
-use crate::robot::{Chain, Robot, catalogue};
+use crate::robot::Chain;
 use crate::stream::{Columns, JointColumns, JointTrack, Orientations, PoseTrack, Times};
 use crate::time::{Stamp, nanos, seconds};
 
-use super::columns::arm_chains;
+use super::RunOptions;
+use super::columns::{ArmModel, candidate_arms};
 use super::error::RunError;
 use super::role::{Role, role_by_content, role_outside_arm};
-use super::{RunOptions, models};
 
 /// Clocks with the same epoch differ by less: 3 years, s.
 const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
@@ -163,12 +163,8 @@ fn group_offset(
     let (joint_origin, joint_track) = joint_track(columns);
     let span_s = |t_s: &[f64]| t_s.last().copied().unwrap_or_default();
     let max_lag_s = span_s(&track.t_s).max(span_s(&joint_track.t_s));
-    let given = models::read_given_or_shared(options).unwrap_or_default();
-    let named = models::robots_for_numbered_joints(&given, log.robot_type.as_deref());
-    let named: Vec<&Robot> = named.into_iter().map(|(robot, _)| robot).collect();
-    let robots = if named.is_empty() { catalogue::entries().collect() } else { named };
     let mut best: Option<Vec<LagPeak>> = None;
-    for chain in robots.into_iter().flat_map(arm_chains) {
+    for ArmModel { chain, .. } in candidate_arms(options, log.robot_type.as_deref(), None) {
         let Some(order) = joint_order(&chain, columns) else { continue };
         let stream =
             PoseStream { reference_known: false, ..PoseStream::new(&track, &chain, &order) };

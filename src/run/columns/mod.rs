@@ -28,13 +28,33 @@ use roles::IdentifiedArm;
 use row_layout::{Assignment, Content};
 pub use shared::{SharedColumns, SharedMapping, SharedRow};
 
-struct ArmModel {
+pub(super) struct ArmModel {
     name: String,
-    chain: Chain,
+    pub chain: Chain,
+}
+
+/// Arms that numbered joints may belong to: those of the caller's robots or of the metadata, otherwise of `shared`,
+/// otherwise of the catalogue.
+pub(super) fn candidate_arms(
+    options: &RunOptions,
+    robot_type: Option<&str>,
+    shared: Option<&SharedColumns>,
+) -> Vec<ArmModel> {
+    let given = models::read_given_or_shared(options).unwrap_or_default();
+    let named = models::robots_for_numbered_joints(&given, robot_type);
+    let robots: Vec<&Robot> = match shared {
+        _ if !named.is_empty() => named.into_iter().map(|(robot, _)| robot).collect(),
+        Some(shared) if shared.is_determined() => shared.robots(),
+        _ => catalogue::entries().collect(),
+    };
+    let arms = robots.into_iter().flat_map(|robot| {
+        arm_chains(robot).into_iter().map(|chain| ArmModel { name: robot.name.clone(), chain })
+    });
+    arms.collect()
 }
 
 /// Chains of a robot's arms.
-pub(super) fn arm_chains(robot: &Robot) -> Vec<Chain> {
+fn arm_chains(robot: &Robot) -> Vec<Chain> {
     let paths = skeleton::find_arm_paths(robot, |_| true).into_iter();
     let chains = paths.filter_map(|path| {
         let tip = skeleton::select_tip(robot, path.end, robot.controller_tip.as_deref());
@@ -143,20 +163,8 @@ impl<'a> ColumnSearch<'a> {
         shared: Option<&SharedColumns>,
         shape: Option<TableShape>,
     ) -> Self {
-        let given = models::read_given_or_shared(options).unwrap_or_default();
-        let named: Vec<&Robot> = models::robots_for_numbered_joints(&given, robot_type)
-            .into_iter()
-            .map(|(robot, _)| robot)
-            .collect();
-        let robots = match shared {
-            _ if !named.is_empty() => named,
-            Some(shared) if shared.is_determined() => shared.robots(),
-            _ => catalogue::entries().collect(),
-        };
-        let arms = robots.into_iter().flat_map(|robot| {
-            arm_chains(robot).into_iter().map(|chain| ArmModel { name: robot.name.clone(), chain })
-        });
-        Self { cells, arms: arms.collect(), max_lag_s: options.max_latency_s.min(1.0), shape }
+        let arms = candidate_arms(options, robot_type, shared);
+        Self { cells, arms, max_lag_s: options.max_latency_s.min(1.0), shape }
     }
 
     fn chains(&self) -> Vec<&Chain> {
