@@ -58,10 +58,14 @@ impl Ranges {
         self.0.iter().map(Range::len).sum()
     }
 
+    pub(super) fn iter(&self) -> impl Iterator<Item = Range<usize>> {
+        self.0.iter().cloned()
+    }
+
     pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
-        self.0.iter().flat_map(move |range| {
+        self.iter().flat_map(move |range| {
             let end = range.end;
-            range.clone().step_by(size).map(move |start| start..end.min(start.saturating_add(size)))
+            range.step_by(size).map(move |start| start..end.min(start.saturating_add(size)))
         })
     }
 }

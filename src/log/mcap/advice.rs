@@ -1,8 +1,9 @@
 //! Read-ahead advice: only the useful parts of uncompressed chunks with large unused messages.
 
 use super::Reader;
-use super::record::{self, Frame};
+use super::record::Frame;
 use crate::mapped::{AccessPattern, advise};
+use crate::ranges::Ranges;
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
@@ -30,31 +31,9 @@ impl<'a> Reader<'a, '_, '_> {
         if self.options.verify || !self.has_ignored_channels() {
             return None;
         }
-        let mut messages: Vec<(usize, bool)> = Vec::new();
-        for index in self.indexes_after(chunk) {
-            let is_ignored = self.ignores(index.channel_id);
-            let offsets = index.offsets().filter_map(|at| usize::try_from(at).ok());
-            messages.extend(offsets.map(|at| (at.min(records.len()), is_ignored)));
-        }
-        messages.sort_unstable();
-        let ends = messages.iter().map(|(at, _)| *at).skip(1).chain([records.len()]);
-        let parts: Vec<_> = messages.iter().copied().zip(ends).collect();
-        let ignored = parts.iter().filter(|((_, is_ignored), _)| *is_ignored);
-        let ignored: usize = ignored.map(|((at, _), end)| end - at).sum();
-        if 2 * ignored <= records.len() {
-            return None;
-        }
-        let first = messages.first().map_or(0, |(at, _)| *at);
-        let mut runs: Vec<_> = std::iter::once(0..first).collect();
-        for ((at, is_ignored), end) in parts {
-            // Only the heads of unused messages are read.
-            let end = if is_ignored { end.min(at + record::MESSAGE_HEAD) } else { end };
-            match runs.last_mut().filter(|run| run.end == at) {
-                Some(run) => run.end = end,
-                None => runs.push(at..end),
-            }
-        }
-        Some(runs.into_iter().map(|run| &records[run]).collect())
+        let parts = Ranges::new(self.needed_parts(chunk, records.len())?, 0);
+        let is_most_unused = 2 * parts.bytes() < records.len();
+        is_most_unused.then(|| parts.iter().map(|part| &records[part]).collect())
     }
 }
 
@@ -65,6 +44,7 @@ mod tests {
     use mcap::records::op;
     use mcap::{MAGIC, WriteOptions};
 
+    use super::super::record;
     use super::*;
     use crate::ReadOptions;
     use crate::chunk_pool;

@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use mcap::records::op;
 
 use super::record::{self, Frame};
@@ -80,6 +82,34 @@ impl<'a> Reader<'a, '_, '_> {
         record::frames(self.bytes, chunk.end())
             .map_while(|frame| frame.ok().filter(|frame| frame.opcode == op::MESSAGE_INDEX))
             .filter_map(|frame| record::MessageIndex::parse(frame.body))
+    }
+
+    /// Needed ranges of the messages in a chunk with `length` bytes of records, according to its indexes:
+    /// needed messages completely, others only their heads. `None` if a channel is unknown or an index
+    /// points outside the chunk.
+    pub(super) fn needed_parts(
+        &self,
+        chunk: &Frame<'a>,
+        length: usize,
+    ) -> Option<Vec<Range<usize>>> {
+        let mut starts = Vec::new();
+        for index in self.indexes_after(chunk) {
+            let is_ignored = self.intake.ignores(self.definitions.channel_of(index.channel_id)?);
+            for offset in index.offsets() {
+                let offset = usize::try_from(offset).ok().filter(|offset| *offset < length)?;
+                starts.push((offset, is_ignored));
+            }
+        }
+        starts.sort_unstable();
+        // Schemas and channels precede the first message.
+        let before = 0..starts.first()?.0;
+        let mut parts = vec![before];
+        for (number, &(start, is_ignored)) in starts.iter().enumerate() {
+            let next = starts.get(number + 1).map_or(length, |next| next.0);
+            let head = next.min(start + record::MESSAGE_HEAD);
+            parts.push(start..if is_ignored { head } else { next });
+        }
+        Some(parts)
     }
 
     /// Returns whether all records could be read.

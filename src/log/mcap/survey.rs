@@ -154,7 +154,7 @@ impl<'a> Reader<'a, '_, '_> {
         if packed.compression != Compression::None || packed.data.len() as u64 != packed.size {
             return Ok(vec![data]);
         }
-        let Some(messages) = self.messages_of(frame, packed.data.len()) else {
+        let Some(messages) = self.needed_parts(frame, packed.data.len()) else {
             return Ok(vec![data]);
         };
         let in_file = |part: &Range<usize>| data.start + part.start..data.start + part.end;
@@ -192,30 +192,6 @@ impl<'a> Reader<'a, '_, '_> {
             }
             offset = frame.end();
         }
-    }
-
-    /// Needed ranges of the messages in a chunk with `length` bytes of records, according to its indexes:
-    /// needed messages completely, others only their heads. `None` if a channel is unknown or an index
-    /// points outside the chunk.
-    fn messages_of(&self, chunk: &Frame<'a>, length: usize) -> Option<Vec<Range<usize>>> {
-        let mut starts = Vec::new();
-        for index in self.indexes_after(chunk) {
-            let is_ignored = self.intake.ignores(self.definitions.channel_of(index.channel_id)?);
-            for offset in index.offsets() {
-                let offset = usize::try_from(offset).ok().filter(|offset| *offset < length)?;
-                starts.push((offset, is_ignored));
-            }
-        }
-        starts.sort_unstable();
-        // Schemas and channels precede the first message.
-        let before = 0..starts.first()?.0;
-        let mut parts = vec![before];
-        for (number, &(start, is_ignored)) in starts.iter().enumerate() {
-            let next = starts.get(number + 1).map_or(length, |next| next.0);
-            let head = next.min(start + record::MESSAGE_HEAD);
-            parts.push(start..if is_ignored { head } else { next });
-        }
-        Some(parts)
     }
 
     fn missing_of(&self, mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
