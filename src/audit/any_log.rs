@@ -277,13 +277,7 @@ impl AnyLog {
                 encoding: "cdr".to_owned(),
                 messages: ROWS as u64,
                 columns: Some(columns),
-                undecodable: None,
-                unusable: None,
-                read_as: None,
-                cells: Vec::new(),
-                velocity_cells: Vec::new(),
-                is_aligned_by_motion: false,
-                span: None,
+                ..Topic::default()
             });
         };
         if self.described {
@@ -355,21 +349,7 @@ impl AnyLog {
     }
 
     fn audit(&self) {
-        let log = Log {
-            files: Vec::new(),
-            topics: self.topics(),
-            descriptions: Vec::new(),
-            messages: ROWS as u64,
-            span: None,
-            notes: Vec::new(),
-            losses: Vec::new(),
-            contradictions: None,
-            repeats: None,
-            robot_type: None,
-            time_column: None,
-            tables: Vec::new(),
-            question: None,
-        };
+        let log = Log { topics: self.topics(), messages: ROWS as u64, ..Log::default() };
         let end = |index: usize| {
             let link = self.ends[index].as_ref()?;
             Some(self.link(&Frame::Link(*link)))

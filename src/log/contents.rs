@@ -16,7 +16,7 @@ pub(super) fn is_of_table(encoding: &str) -> bool {
 }
 
 /// Everything read from the files of one run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Log {
     /// Files in the order given.
     pub files: Vec<LogFile>,
@@ -172,7 +172,7 @@ impl Crc {
 }
 
 /// One topic over all files.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Topic {
     /// Name.
     pub name: String,

@@ -232,13 +232,7 @@ mod tests {
                 encoding: "cdr".to_owned(),
                 messages: 3,
                 columns: Some(poses(stamps, length)),
-                undecodable: None,
-                unusable: None,
-                read_as: None,
-                cells: Vec::new(),
-                velocity_cells: Vec::new(),
-                is_aligned_by_motion: false,
-                span: None,
+                ..Topic::default()
             };
             let mut streams = split(vec![topic]);
             let clocks = StreamClocks::select(&streams, Clock::Header, 5.0);

@@ -293,20 +293,7 @@ mod tests {
 
     fn topic(name: &str, columns: Columns) -> Topic {
         let messages = columns.times().iter().map(|times| times.len() as u64).sum();
-        Topic {
-            name: name.to_owned(),
-            type_name: String::new(),
-            encoding: String::new(),
-            messages,
-            columns: Some(columns),
-            undecodable: None,
-            unusable: None,
-            read_as: None,
-            cells: Vec::new(),
-            velocity_cells: Vec::new(),
-            is_aligned_by_motion: false,
-            span: None,
-        }
+        Topic { name: name.to_owned(), messages, columns: Some(columns), ..Topic::default() }
     }
 
     /// IMU at 10 Hz; `stamp` maps receive time to header stamp, s.
@@ -322,21 +309,7 @@ mod tests {
     }
 
     fn log(topics: Vec<Topic>) -> Log {
-        Log {
-            files: Vec::new(),
-            topics,
-            descriptions: Vec::new(),
-            messages: 0,
-            span: None,
-            losses: Vec::new(),
-            notes: Vec::new(),
-            contradictions: None,
-            repeats: None,
-            time_column: None,
-            tables: Vec::new(),
-            robot_type: None,
-            question: None,
-        }
+        Log { topics, ..Log::default() }
     }
 
     fn restarted(received: i64) -> i64 {

@@ -110,14 +110,8 @@ fn topic_like(topic: &Topic) -> Topic {
         type_name: topic.type_name.clone(),
         encoding: topic.encoding.clone(),
         messages: topic.messages,
-        columns: None,
-        undecodable: None,
-        unusable: None,
-        read_as: None,
-        cells: Vec::new(),
-        velocity_cells: Vec::new(),
-        is_aligned_by_motion: false,
         span: topic.span,
+        ..Topic::default()
     }
 }
 

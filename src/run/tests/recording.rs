@@ -120,33 +120,12 @@ impl Recording {
     pub(super) fn log(self) -> Log {
         let topic = |(name, columns): (String, Columns)| Topic {
             name,
-            type_name: String::new(),
             encoding: "cdr".to_owned(),
             messages: ROWS as u64,
             columns: Some(columns),
-            undecodable: None,
-            unusable: None,
-            read_as: None,
-            cells: Vec::new(),
-            velocity_cells: Vec::new(),
-            is_aligned_by_motion: false,
-            span: None,
+            ..Topic::default()
         };
-        Log {
-            files: Vec::new(),
-            topics: self.topics.into_iter().map(topic).collect(),
-            descriptions: Vec::new(),
-            messages: 0,
-            span: None,
-            notes: Vec::new(),
-            contradictions: None,
-            repeats: None,
-            time_column: None,
-            tables: Vec::new(),
-            robot_type: None,
-            question: None,
-            losses: Vec::new(),
-        }
+        Log { topics: self.topics.into_iter().map(topic).collect(), ..Log::default() }
     }
 
     pub(super) fn run(self) -> Run {
