@@ -10,11 +10,6 @@ pub(super) const TABLE: &str = "table";
 /// The same of a table by UR's RTDE client.
 pub(super) const RTDE: &str = "csv";
 
-/// Whether topics in this encoding are columns of a table.
-pub(super) fn is_of_table(encoding: &str) -> bool {
-    matches!(encoding, TABLE | RTDE)
-}
-
 /// Everything read from the files of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Log {
@@ -203,7 +198,7 @@ pub struct Topic {
 impl Topic {
     /// Whether its rows are those of a table file, which one program writes.
     pub fn is_from_table(&self) -> bool {
-        is_of_table(&self.encoding)
+        matches!(self.encoding.as_str(), TABLE | RTDE)
     }
 }
 

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::contents::is_of_table;
 use super::decode::{self, Format, Recipe};
 use super::losses::Losses;
 use super::part::{ChannelSnapshot, PartContent};
@@ -127,17 +126,13 @@ impl Intake {
     fn topic(&mut self, topic: &str, format: Format<'_>) -> usize {
         let key = (topic.to_owned(), decode::canonical(format.type_name).into_owned());
         *self.by_name.entry(key).or_insert_with(|| {
-            self.topics.push(TopicIntake {
+            let topic = Topic {
                 name: decode::bounded(topic).into_owned(),
                 type_name: decode::bounded(format.type_name).into_owned(),
                 encoding: decode::bounded(format.encoding).into_owned(),
-                content: TopicContent::default(),
-                columns: None,
-                read_as: None,
-                cells: Vec::new(),
-                velocity_cells: Vec::new(),
-                waiting: Vec::new(),
-            });
+                ..Topic::default()
+            };
+            self.topics.push(TopicIntake { topic, ..TopicIntake::default() });
             self.topics.len() - 1
         })
     }
@@ -233,9 +228,12 @@ impl Intake {
         }
     }
 
+    fn topic_of(&mut self, channel: ChannelId) -> &mut Topic {
+        &mut self.topics[self.channels[channel.0].topic].topic
+    }
+
     pub(super) fn columns(&mut self, channel: ChannelId, columns: Columns) {
-        let topic = self.channels[channel.0].topic;
-        self.topics[topic].columns = Some(columns);
+        self.topic_of(channel).columns = Some(columns);
     }
 
     pub(super) fn read_as(
@@ -245,14 +243,14 @@ impl Intake {
         cells: Vec<TableCell>,
         velocity_cells: Vec<TableCell>,
     ) {
-        let topic = &mut self.topics[self.channels[channel.0].topic];
+        let topic = self.topic_of(channel);
         topic.read_as = Some(how);
         (topic.cells, topic.velocity_cells) = (cells, velocity_cells);
     }
 
     /// Adds columns of another table that hold the velocities of a channel's joints.
     pub(super) fn add_velocities(&mut self, channel: ChannelId, name: &str, cells: Vec<TableCell>) {
-        let topic = &mut self.topics[self.channels[channel.0].topic];
+        let topic = self.topic_of(channel);
         if let Some(how) = &mut topic.read_as {
             *how += &format!("; velocities in {name}");
         }
@@ -366,7 +364,7 @@ impl Intake {
         for topic in &self.topics {
             for (earlier, later, shared_s) in overlaps(&topic.content.spans) {
                 if reported.insert((earlier, later)) {
-                    let (name, other) = (&topic.name, self.file(earlier).display());
+                    let (name, other) = (&topic.topic.name, self.file(earlier).display());
                     notes.push((
                         later,
                         format!(
@@ -378,7 +376,7 @@ impl Intake {
             }
         }
         // Tables with another time origin are aligned by motion, or refused.
-        let are_tables = self.topics.iter().all(|topic| is_of_table(&topic.encoding));
+        let are_tables = self.topics.iter().all(|topic| topic.topic.is_from_table());
         for (earlier, later, apart_s) in gaps(&self.file_spans()) {
             if are_tables && apart_s > MAX_EPOCH_GAP_S {
                 continue;

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use super::decode::{Builder, MAX_FRAMES, Plan, Row, RowTimes};
 use super::spans::{Span, join};
 use super::unpack::ZSTD_MAGIC;
-use super::{TableCell, Topic, Undecodable};
-use ground::stream::Columns;
+use super::{Topic, Undecodable};
 use ground::time::Stamp;
 
 /// Distinct messages remembered per latching channel.
@@ -61,15 +60,11 @@ pub(super) enum Decoding {
     },
 }
 
+#[derive(Default)]
 pub(super) struct TopicIntake {
-    pub(super) name: String,
-    pub(super) type_name: String,
-    pub(super) encoding: String,
+    /// With the columns of a table; those of messages are in `content`.
+    pub(super) topic: Topic,
     pub(super) content: TopicContent,
-    pub(super) columns: Option<Columns>,
-    pub(super) read_as: Option<String>,
-    pub(super) cells: Vec<TableCell>,
-    pub(super) velocity_cells: Vec<TableCell>,
     /// Index of channel and message.
     pub(super) waiting: Vec<(usize, usize)>,
 }
@@ -176,9 +171,7 @@ impl TopicIntake {
     /// Further messages cannot be added to the copy.
     pub(super) fn snapshot(&self) -> Self {
         Self {
-            name: self.name.clone(),
-            type_name: self.type_name.clone(),
-            encoding: self.encoding.clone(),
+            topic: self.topic.clone(),
             content: TopicContent {
                 channels: Vec::new(),
                 messages: self.content.messages,
@@ -186,16 +179,12 @@ impl TopicIntake {
                 undecodable: self.content.undecodable.clone(),
                 spans: self.content.spans.clone(),
             },
-            columns: self.columns.clone(),
-            read_as: self.read_as.clone(),
-            cells: self.cells.clone(),
-            velocity_cells: self.velocity_cells.clone(),
             waiting: Vec::new(),
         }
     }
 
     /// One topic per part of its messages.
-    pub(super) fn finish(self) -> Vec<Topic> {
+    pub(super) fn finish(mut self) -> Vec<Topic> {
         let TopicContent { messages, builder, mut undecodable, spans, .. } = self.content;
         let span = spans.into_iter().map(|(_, span)| span).reduce(join);
         let refused = builder.as_ref().map_or(0, Builder::rejected_rows);
@@ -204,25 +193,20 @@ impl TopicIntake {
             undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
         }
         let useless = builder.as_ref().and_then(Builder::unusable_reason);
-        let parts = match (self.columns, builder) {
+        let parts = match (self.topic.columns.take(), builder) {
             (Some(columns), _) => vec![("", Some(columns))],
             (None, Some(builder)) => builder.finalize(),
             (None, None) => vec![("", None)],
         };
         let topic = |(part, columns): (&str, _)| Topic {
-            name: format!("{}{part}", self.name),
-            type_name: self.type_name.clone(),
-            encoding: self.encoding.clone(),
+            name: format!("{}{part}", self.topic.name),
             messages,
             columns,
             // A message counts once, not once per part.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             unusable: useless.clone(),
-            read_as: self.read_as.clone(),
-            cells: self.cells.clone(),
-            velocity_cells: self.velocity_cells.clone(),
-            is_aligned_by_motion: false,
             span,
+            ..self.topic.clone()
         };
         parts.into_iter().map(topic).collect()
     }
