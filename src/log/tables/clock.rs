@@ -34,31 +34,6 @@ const TIME_WORDS: &[&str] = &[
     "時間",
     "時刻",
 ];
-/// Units in seconds.
-const UNIT_WORDS: &[(&str, f64)] = &[
-    ("ns", 1e-9),
-    ("nsec", 1e-9),
-    ("nsecs", 1e-9),
-    ("nseconds", 1e-9),
-    ("nanos", 1e-9),
-    ("nanosec", 1e-9),
-    ("nanosecs", 1e-9),
-    ("nanoseconds", 1e-9),
-    ("us", 1e-6),
-    ("usec", 1e-6),
-    ("usecs", 1e-6),
-    ("micros", 1e-6),
-    ("microseconds", 1e-6),
-    ("ms", 1e-3),
-    ("msec", 1e-3),
-    ("msecs", 1e-3),
-    ("millis", 1e-3),
-    ("milliseconds", 1e-3),
-    ("s", 1.0),
-    ("sec", 1.0),
-    ("secs", 1.0),
-    ("seconds", 1.0),
-];
 /// Words for times that are not row stamps.
 const EXCLUDED_WORDS: &[&str] = &[
     "delta",
@@ -133,9 +108,17 @@ pub(super) fn is_time(name: &str) -> bool {
         && !names::contains_any(&words, EXCLUDED_WORDS)
 }
 
-/// In seconds.
+/// Unit of a time, s.
 fn unit_by_word(word: &str) -> Option<f64> {
-    UNIT_WORDS.iter().find(|(unit, _)| *unit == word).map(|(_, unit_s)| *unit_s)
+    Some(match word {
+        "ns" | "nsec" | "nsecs" | "nseconds" | "nanos" | "nanosec" | "nanosecs" | "nanoseconds" => {
+            1e-9
+        }
+        "us" | "usec" | "usecs" | "micros" | "microseconds" => 1e-6,
+        "ms" | "msec" | "msecs" | "millis" | "milliseconds" => 1e-3,
+        "s" | "sec" | "secs" | "seconds" => 1.0,
+        _ => return None,
+    })
 }
 
 /// Whether a name begins with a word for times, as `time_joints` and `time_tcp` do.

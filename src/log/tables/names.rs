@@ -41,9 +41,17 @@ pub(super) fn singular(word: &str) -> &str {
 
 /// Unit of length at the end of a name, m.
 pub(super) fn length_unit_m(name: &str) -> Option<f64> {
-    let words = split_words(name);
-    let unit = LENGTH_WORDS.iter().find(|(word, _)| words.last().is_some_and(|own| own == word));
-    unit.map(|(_, unit_m)| *unit_m)
+    split_words(name).last().and_then(|word| length_by_word(word))
+}
+
+/// Unit of a length, m.
+fn length_by_word(word: &str) -> Option<f64> {
+    Some(match word {
+        "m" | "meter" | "meters" | "metre" | "metres" => 1.0,
+        "cm" => 1e-2,
+        "mm" | "millimeter" | "millimeters" => 1e-3,
+        _ => return None,
+    })
 }
 
 /// Whether a name denotes the base alone, as UR's pendant names the first joint.
@@ -342,18 +350,6 @@ const POSE_WORDS: &[&str] = &[
     "tool",
     "hand",
 ];
-/// Units of lengths, m.
-const LENGTH_WORDS: &[(&str, f64)] = &[
-    ("m", 1.0),
-    ("meter", 1.0),
-    ("meters", 1.0),
-    ("metre", 1.0),
-    ("metres", 1.0),
-    ("cm", 1e-2),
-    ("mm", 1e-3),
-    ("millimeter", 1e-3),
-    ("millimeters", 1e-3),
-];
 /// Three rotation angles, in order: FANUC's W P R, KUKA's A B C, Kawasaki's O A T, Epson's U V W and
 /// textbook notations.
 const ANGLE_LABELS: &[[&str; 3]] = &[
@@ -370,9 +366,7 @@ const ANGLE_LABELS: &[[&str; 3]] = &[
 ];
 
 fn is_unit(word: &str) -> bool {
-    RADIAN_WORDS.contains(&word)
-        || DEGREE_WORDS.contains(&word)
-        || LENGTH_WORDS.iter().any(|(own, _)| *own == word)
+    RADIAN_WORDS.contains(&word) || DEGREE_WORDS.contains(&word) || length_by_word(word).is_some()
 }
 
 pub(super) fn contains_any(words: &[String], known: &[&str]) -> bool {
