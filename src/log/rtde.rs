@@ -21,18 +21,9 @@ use super::losses::Losses;
 use super::tables;
 use super::topic::{Message, MessagePlace};
 use super::{Extent, ReadOptions};
+use ground::robot::UR_JOINTS;
 use ground::stream::{Columns, JointColumns, usable_or_nan};
 use ground::time;
-
-/// Joint names in controller order.
-pub(super) const JOINTS: [&str; 6] = [
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-];
 
 /// Controller time, s.
 const TIMESTAMP: &str = "timestamp";
@@ -409,11 +400,11 @@ impl Samples {
     fn joints(&self, velocities: Option<&Samples>) -> JointColumns {
         let by_stamp: HashMap<i64, &[f64]> = velocities
             .into_iter()
-            .flat_map(|samples| samples.stamps.iter().copied().zip(samples.rows(JOINTS.len())))
+            .flat_map(|samples| samples.stamps.iter().copied().zip(samples.rows(UR_JOINTS.len())))
             .collect();
         let stamps: Vec<_> = self.stamps.iter().map(|&stamp| stamp.into()).collect();
-        let positions = JOINTS.iter().enumerate().map(|(joint, name)| {
-            let position = self.rows(JOINTS.len()).map(|row| usable_or_nan(row[joint]));
+        let positions = UR_JOINTS.iter().enumerate().map(|(joint, name)| {
+            let position = self.rows(UR_JOINTS.len()).map(|row| usable_or_nan(row[joint]));
             ((*name).to_owned(), position.collect())
         });
         let mut joints = tables::joint_columns(&stamps, positions);

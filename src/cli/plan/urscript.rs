@@ -5,30 +5,20 @@ use std::io::{self, Write};
 use poseaudit::diagnosis::plan::FourierMotion;
 use poseaudit::report::Trouble;
 use poseaudit::report::sanitize_display;
-use poseaudit::robot::Chain;
+use poseaudit::robot::{Chain, UR_JOINTS};
 
 use super::super::misuse;
 use super::COLLISION_WARNING;
 use super::arm::PlannedArm;
 use super::setup::PlanTask;
 
-/// Every UR arm, base to tip.
-const UR_JOINT_NAMES: [&str; 6] = [
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-];
 /// Between commands: a multiple of every controller's period.
 const COMMAND_PERIOD_S: f64 = 0.008;
 
 /// Fails unless the arm has a UR's joints.
 pub fn check_is_ur(chain: &Chain) -> Result<(), Trouble> {
     let names = chain.joint_names();
-    match names.len() == UR_JOINT_NAMES.len()
-        && names.iter().zip(UR_JOINT_NAMES).all(|(a, b)| a.ends_with(b))
+    match names.len() == UR_JOINTS.len() && names.iter().zip(UR_JOINTS).all(|(a, b)| a.ends_with(b))
     {
         true => Ok(()),
         false => Err(misuse(

@@ -19,8 +19,8 @@ use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
 
-/// Joint names in the order of [`BLOCKS`].
-const JOINTS: [&str; 6] = [
+/// Joint names of every UR arm, base to tip.
+pub const UR_JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
     "elbow_joint",
@@ -29,6 +29,7 @@ const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
+/// In the order of [`UR_JOINTS`].
 const BLOCKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 
 /// Larger changes of an origin indicate another arm, m and rad.
@@ -118,7 +119,7 @@ impl Calibration {
         let Blocks { shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3, hash } =
             file.kinematics;
         let blocks = [shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3];
-        for (block, joint) in blocks.iter().zip(JOINTS) {
+        for (block, joint) in blocks.iter().zip(UR_JOINTS) {
             if !block.value.is_finite() {
                 let element = format!("the block of joint '{joint}'");
                 let line = Some(line(block.referenced));
@@ -127,7 +128,7 @@ impl Calibration {
         }
         let origins = blocks
             .iter()
-            .zip(JOINTS)
+            .zip(UR_JOINTS)
             .map(|(block, joint)| (joint.to_owned(), block.value.origin(), line(block.referenced)));
         Ok(Self { source: source.to_owned(), hash, origins: origins.collect() })
     }
@@ -193,7 +194,7 @@ impl Robot {
     /// YAML of `ur_calibration` for the UR joints with `prefix`; `None` if there are none.
     pub fn ur_calibration(&self, prefix: &str, hash: &str) -> Option<String> {
         let mut text = "kinematics:\n".to_owned();
-        for (block, joint) in BLOCKS.iter().zip(JOINTS) {
+        for (block, joint) in BLOCKS.iter().zip(UR_JOINTS) {
             let origin = self.joint(&format!("{prefix}{joint}"))?.parent_from_joint;
             let [x, y, z] = xyz_of(&origin);
             let [roll, pitch, yaw] = Convention::RPY.numbers(&origin.rotation);

@@ -23,7 +23,7 @@ mod visuals;
 mod write;
 mod xml;
 
-pub use calibration::{CALIBRATION_SCHEMA, Calibration};
+pub use calibration::{CALIBRATION_SCHEMA, Calibration, UR_JOINTS};
 pub use chain::{Chain, FLOATING_COORDINATES, turn_z_to};
 pub use deviate::LinkPath;
 pub use dh::{DhConvention, DhModel};

@@ -17,11 +17,11 @@ use super::{
     joint_columns, pose_columns, row_losses,
 };
 use crate::TableCell;
-use crate::rtde::JOINTS as UR_JOINTS;
 pub(crate) use row_layout::LayoutColumns;
 use sampling::Sampling;
 
 use ground::geometry::{AngleUnit, rotation_from_matrix_rows};
+use ground::robot::UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumns, is_usable, usable_or_nan};
 
 /// Joints of an arm, with its gripper.
