@@ -301,7 +301,7 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         let named = all_of(4, &PoseComponent::Quaternion)
             .or_else(with_w)
             .or_else(|| all_of(3, &PoseComponent::Rotation));
-        let turn = named.clone().or_else(|| (0..names::label_count()).find_map(label));
+        let turn = named.clone().or_else(|| (0..names::ANGLE_LABELS.len()).find_map(label));
         let (cells, meaning, part) = match (position, turn, named) {
             (Some(position), Some(turn), _) => {
                 ([position, turn].concat(), ColumnMeaning::Pose, None)
@@ -398,7 +398,7 @@ fn group_matrices(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
         };
         let cells: Vec<Cell> = members.values().copied().collect();
         let topic = topic_of(home, &stem);
-        let part = part.map(|part| (home.to_owned(), names::pose_key_of_stem(&stem), part));
+        let part = part.map(|part| (home.to_owned(), names::pose_key(&stem), part));
         let why = describe_origin(table, &cells, "matrix elements by name");
         Some(ColumnGroup { topic, cells, meaning, why, part })
     });
@@ -457,7 +457,7 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             _ => topic_of(home, stem),
         };
         let why = describe_origin(table, &cells, "by name and number");
-        let part = part.map(|part| ((*home).to_owned(), names::pose_key_of_stem(stem), part));
+        let part = part.map(|part| ((*home).to_owned(), names::pose_key(stem), part));
         groups.push(ColumnGroup { topic, cells, meaning, why, part });
     }
     groups
@@ -553,8 +553,7 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
             commands.push((own, names.clone(), *unnamed));
             continue;
         }
-        let names: Vec<&str> = own.iter().map(|&cell| name(table, cell)).collect();
-        let mut names = names;
+        let mut names: Vec<&str> = own.iter().map(|&cell| name(table, cell)).collect();
         names.dedup();
         *why += &format!("; velocities in {}", names.join(", "));
         velocities.clone_from(&own);
@@ -574,16 +573,12 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
 }
 
 fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
-    let first = cells.first().map_or("", |&cell| name(table, cell));
-    let is_one = cells.iter().all(|cell| cell.column == cells[0].column);
-    match is_one {
-        true => {
-            cells.first().map_or_else(String::new, |cell| table.columns[cell.column].name.clone())
-        }
-        false => {
-            names::numbered(first).map_or_else(|| first.to_owned(), |(stem, _)| stem.join("_"))
-        }
+    let first = cells[0];
+    if cells.iter().all(|cell| cell.column == first.column) {
+        return table.columns[first.column].name.clone();
     }
+    let first = name(table, first);
+    names::numbered(first).map_or_else(|| first.to_owned(), |(stem, _)| stem.join("_"))
 }
 
 /// Joints named after parts of an arm.
@@ -680,9 +675,7 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
         ),
     };
     let part = names::pose_part(&column.name, column.width)
-        .or_else(|| {
-            are_rotations(column).then(|| (names::pose_key_of_stem(&words), PosePart::Matrix))
-        })
+        .or_else(|| are_rotations(column).then(|| (names::pose_key(&words), PosePart::Matrix)))
         .filter(|_| !matches!(meaning, ColumnMeaning::Pose | ColumnMeaning::Joints { .. }))
         .map(|(key, part)| (String::new(), key, part));
     ColumnGroup { topic: column.name.clone(), cells, meaning, why, part }

@@ -352,7 +352,7 @@ const POSE_WORDS: &[&str] = &[
 ];
 /// Three rotation angles, in order: FANUC's W P R, KUKA's A B C, Kawasaki's O A T, Epson's U V W and
 /// textbook notations.
-const ANGLE_LABELS: &[[&str; 3]] = &[
+pub(super) const ANGLE_LABELS: &[[&str; 3]] = &[
     ["rx", "ry", "rz"],
     ["roll", "pitch", "yaw"],
     ["rr", "rp", "ry"],
@@ -773,23 +773,15 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-pub(super) fn label_count() -> usize {
-    ANGLE_LABELS.len()
-}
-
 /// Words that name a pose, without those for parts and units.
-fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
+pub(super) fn pose_key<'a>(words: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     let is_of_part = |word: &str| {
         POSITION_WORDS.contains(&word)
             || ROTATION_WORDS.contains(&word)
             || is_unit(word)
             || ["q", "r", "matrix", "mat", "wxyz", "xyzw"].contains(&word)
     };
-    words.filter(|word| !is_of_part(word)).cloned().collect()
-}
-
-pub(super) fn pose_key_of_stem(stem: &[String]) -> Vec<String> {
-    pose_key(stem.iter())
+    words.into_iter().filter(|word| !is_of_part(word)).cloned().collect()
 }
 
 /// The part in a column of bare numbers, and the words that name the pose.
@@ -808,7 +800,7 @@ pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePa
         3 if is_position || is_pose(&words) => PosePart::Position,
         _ => return None,
     };
-    Some((pose_key(words.iter()), part))
+    Some((pose_key(&words), part))
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
