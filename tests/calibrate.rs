@@ -120,11 +120,10 @@ fn the_files_of_a_calibration_are_read_back_and_the_log_passes_with_them() {
     let [width, rows] = [&report["parameters"], &report["covariance"]]
         .map(|of| of.as_array().expect("a list").len());
     assert!(width == rows && width >= 24, "{width} {rows}");
-    for option in ["--robot", "--calibration", "--calibration"].iter().zip([
-        "robot.urdf",
-        "calibration.json",
-        "calibration.yaml",
-    ]) {
+    for option in ["--robot", "--calibration", "--calibration"]
+        .iter()
+        .zip(["robot.urdf", "calibration.json", "calibration.yaml"])
+    {
         let file = path(&folder, &format!("calibrated/{}", option.1));
         let audited = poseaudit(&["audit", CLEAN, option.0, &file, "--format", "json"]);
         let report = json(&audited);

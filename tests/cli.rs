@@ -159,19 +159,9 @@ fn the_json_report_has_the_documented_keys_in_order() {
     assert_eq!(
         keys(&report),
         [
-            "schema",
-            "tool",
-            "verdict",
-            "error",
-            "log",
-            "robots",
-            "streams",
-            "checks",
-            "findings",
+            "schema", "tool", "verdict", "error", "log", "robots", "streams", "checks", "findings",
             // Not part of the contract, so they come last.
-            "observability",
-            "workspace",
-            "plans"
+            "observability", "workspace", "plans"
         ]
     );
     assert_eq!(

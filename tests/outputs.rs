@@ -116,12 +116,10 @@ const CALLS: &[Call] = &[
 /// check causes a different error.
 fn folder_with_inputs() -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    for name in AUDIT_INPUTS.iter().chain(&[
-        "meshes/a/link.obj",
-        "old.json",
-        "q.csv",
-        "results/runs/part.parquet",
-    ]) {
+    for name in AUDIT_INPUTS
+        .iter()
+        .chain(&["meshes/a/link.obj", "old.json", "q.csv", "results/runs/part.parquet"])
+    {
         let path = folder.path().join(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
         // A config is read for the robots that it names.

@@ -12,15 +12,7 @@ const AROUND: &str = "--around=0,-1.57,1.57,-1.2,-1.57,0.3";
 fn write_plan(folder: &Path, name: &str, purpose: &str) -> (String, String) {
     let path = folder.join(name).display().to_string();
     let output = poseaudit(&[
-        "plan",
-        "ur5e",
-        AROUND,
-        "--for",
-        purpose,
-        "--seconds",
-        "20",
-        "--output",
-        &path,
+        "plan", "ur5e", AROUND, "--for", purpose, "--seconds", "20", "--output", &path,
     ]);
     assert_eq!(status(&output), 0, "{}", stderr(&output));
     (path, stdout(&output).to_owned())

@@ -130,10 +130,7 @@ fn write_with_camera(from: &Path, to: &Path, compression: Option<Compression>) -
                 let schema = logged.schema.as_ref().context("a schema")?;
                 let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data)?;
                 let channel = writer.add_channel(
-                    schema,
-                    &logged.topic,
-                    &logged.message_encoding,
-                    &logged.metadata,
+                    schema, &logged.topic, &logged.message_encoding, &logged.metadata,
                 )?;
                 channels.insert(logged.id, channel);
                 channel

@@ -162,9 +162,7 @@ impl Background {
                 let from_s = run.duration_s * r.random_range(0.2..0.8);
                 let gap = Some((from_s, from_s + 0.5));
                 for timing in [
-                    &mut run.joints.timing,
-                    &mut run.pose.timing,
-                    &mut run.tf.timing,
+                    &mut run.joints.timing, &mut run.pose.timing, &mut run.tf.timing,
                     &mut run.imu.timing,
                 ] {
                     timing.gap_s = gap;

@@ -177,39 +177,14 @@ const fn fault_spec(
 
 /// Slots of the tool pose stream.
 const POSE_SLOTS: &[&str] = &[
-    "pose time",
-    "skew",
-    "growth",
-    "reference",
-    "tool",
-    "pose coding",
-    "pose units",
-    "pose rows",
+    "pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows",
     "changes",
 ];
 /// Slots that depend on the joint states.
 const ALL_SLOTS: &[&str] = &[
-    "pose time",
-    "skew",
-    "growth",
-    "reference",
-    "tool",
-    "pose coding",
-    "pose units",
-    "pose rows",
-    "imu time",
-    "tf time",
-    "tf",
-    "joint numbers",
-    "drift",
-    "mount",
-    "gyro",
-    "imu coding",
-    "changes",
-    "gives",
-    "velocities",
-    "commands",
-    "target",
+    "pose time", "skew", "growth", "reference", "tool", "pose coding", "pose units", "pose rows",
+    "imu time", "tf time", "tf", "joint numbers", "drift", "mount", "gyro", "imu coding",
+    "changes", "gives", "velocities", "commands", "target",
 ];
 
 /// Every kind of fault.

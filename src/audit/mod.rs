@@ -282,12 +282,7 @@ fn build_report(
     report.comparisons = comparison_rows(&main.run);
     report.thresholds = options.policy.rules.thresholds.clone();
     report.plans = plans(
-        &main.run,
-        &main.evidence,
-        &report.checks,
-        &report.findings,
-        &options.run,
-        &options.logs,
+        &main.run, &main.evidence, &report.checks, &report.findings, &options.run, &options.logs,
     );
     report.fails_if_inconclusive = options.policy.fail_on_inconclusive;
     report.required.clone_from(&options.policy.rules.required);

@@ -275,18 +275,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 /// The call without output options and verbosity.
 fn call_without_outputs() -> Vec<String> {
     const OPTIONS_WITH_VALUE: [&str; 12] = [
-        "--format",
-        "--output",
-        "-o",
-        "--fix",
-        "--mcap",
-        "--parquet",
-        "--plotjuggler",
-        "--rrd",
-        "--rrd-layer",
-        "--tum",
-        BASELINE_OPTION,
-        "--color",
+        "--format", "--output", "-o", "--fix", "--mcap", "--parquet", "--plotjuggler", "--rrd",
+        "--rrd-layer", "--tum", BASELINE_OPTION, "--color",
     ];
     const FLAGS: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
     let words = std::env::args_os().skip(1).map(|word| word.display().to_string());

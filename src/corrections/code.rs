@@ -62,15 +62,11 @@ pub(super) fn invert_pose() -> CodeLines {
 pub(super) fn convert_angles(to_radians: bool) -> CodeLines {
     match to_radians {
         true => lines([
-            "numpy.deg2rad(angles)",
-            "angle * M_PI / 180.0",
-            "angles * (M_PI / 180.0)",
+            "numpy.deg2rad(angles)", "angle * M_PI / 180.0", "angles * (M_PI / 180.0)",
             "angle.to_radians()",
         ]),
         false => lines([
-            "numpy.rad2deg(angles)",
-            "angle * 180.0 / M_PI",
-            "angles * (180.0 / M_PI)",
+            "numpy.rad2deg(angles)", "angle * 180.0 / M_PI", "angles * (180.0 / M_PI)",
             "angle.to_degrees()",
         ]),
     }

@@ -352,9 +352,7 @@ impl Corrections {
                 return Some(format!("topic '{name}' has a skew but no skew_about_s"));
             }
             let frames = [
-                &topic.reference_from_stream,
-                &topic.tip_from_stream,
-                &topic.hand_from_camera,
+                &topic.reference_from_stream, &topic.tip_from_stream, &topic.hand_from_camera,
                 &topic.base_from_camera,
             ];
             let numbers = frames.into_iter().flatten().flat_map(|frame| frame.xyz);

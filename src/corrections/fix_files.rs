@@ -17,14 +17,8 @@ const INDEX_FILE: &str = "corrections.md";
 
 /// All files except the models.
 pub(crate) const FIX_FILES: [&str; 8] = [
-    INDEX_FILE,
-    CORRECTIONS_FILE,
-    OFFSETS_FILE,
-    LATENCIES_FILE,
-    CONVENTIONS_FILE,
-    TRANSFORMS_FILE,
-    JOINTS_FILE,
-    MODULE_FILE,
+    INDEX_FILE, CORRECTIONS_FILE, OFFSETS_FILE, LATENCIES_FILE, CONVENTIONS_FILE, TRANSFORMS_FILE,
+    JOINTS_FILE, MODULE_FILE,
 ];
 
 /// A patched copy of the model at `source`, with its patch.

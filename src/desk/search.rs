@@ -323,8 +323,7 @@ impl Search<'_> {
                                 PoseDifference {
                                     rad: truths.iter().map(away).fold(f64::INFINITY, f64::min),
                                     m: PoseDifference::between(
-                                        expected,
-                                        &self.side_b[but].poses[at],
+                                        expected, &self.side_b[but].poses[at],
                                     )
                                     .m,
                                 }

@@ -38,9 +38,7 @@ pub(super) struct ArmStreamsDiagnosis {
 type Alternative = fn(&Run, &Arm, &ArmStreamsDiagnosis, f64) -> Option<(Arm, ArmStreamsDiagnosis)>;
 
 const ALTERNATIVES: [Alternative; 4] = [
-    with_documented_conventions,
-    with_turn_by_imu,
-    with_simultaneous_topics,
+    with_documented_conventions, with_turn_by_imu, with_simultaneous_topics,
     with_steady_joint_clock,
 ];
 

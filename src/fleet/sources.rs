@@ -32,14 +32,7 @@ impl From<&RemoteObject> for LogSource {
 /// Files with these names count as logs even if their bytes do not identify them, so empty or truncated
 /// logs are reported.
 const LOG_SUFFIXES: &[&str] = &[
-    ".mcap",
-    ".bag",
-    ".bag.active",
-    ".db3",
-    ".mcap.zst",
-    ".mcap.zstd",
-    ".bag.zst",
-    ".db3.zst",
+    ".mcap", ".bag", ".bag.active", ".db3", ".mcap.zst", ".mcap.zstd", ".bag.zst", ".db3.zst",
     ".db3.zstd",
 ];
 

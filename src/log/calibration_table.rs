@@ -54,19 +54,8 @@ pub enum RotationColumns {
 
 /// Prefixes and suffixes of column names.
 const POSITIONS: [&str; 13] = [
-    "",
-    "p",
-    "p_",
-    "pos_",
-    "pos",
-    "position_",
-    "position.",
-    "position.x.",
-    "t",
-    "t_",
-    "tcp_",
-    "tool_",
-    "translation_",
+    "", "p", "p_", "pos_", "pos", "position_", "position.", "position.x.", "t", "t_", "tcp_",
+    "tool_", "translation_",
 ];
 const QUATERNIONS: [&str; 7] =
     ["q", "q_", "quat_", "quat", "orientation_", "orientation.", "rot_q"];
@@ -411,18 +400,8 @@ impl NumberTable {
     /// without names must have one column per joint.
     pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
         const NUMBERED: [&str; 12] = [
-            "q",
-            "q_",
-            "q[",
-            "j",
-            "j_",
-            "joint",
-            "joint_",
-            "joint_position_",
-            "theta",
-            "theta_",
-            "a",
-            "axis",
+            "q", "q_", "q[", "j", "j_", "joint", "joint_", "joint_position_", "theta", "theta_",
+            "a", "axis",
         ];
         if self.names.is_empty() {
             return (self.width() == names.len()).then(|| (0..names.len()).collect());

@@ -346,12 +346,8 @@ mod tests {
     use crate::geometry::Vec3;
 
     const UR: [&str; 6] = [
-        "shoulder_pan_joint",
-        "shoulder_lift_joint",
-        "elbow_joint",
-        "wrist_1_joint",
-        "wrist_2_joint",
-        "wrist_3_joint",
+        "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint",
+        "wrist_2_joint", "wrist_3_joint",
     ];
 
     fn select(

@@ -337,12 +337,8 @@ mod tests {
     use crate::robot::Calibration;
 
     const UR: [&str; 6] = [
-        "shoulder_pan_joint",
-        "shoulder_lift_joint",
-        "elbow_joint",
-        "wrist_1_joint",
-        "wrist_2_joint",
-        "wrist_3_joint",
+        "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint",
+        "wrist_2_joint", "wrist_3_joint",
     ];
 
     static ALONE: std::sync::LazyLock<Namespace> = std::sync::LazyLock::new(Namespace::default);

@@ -75,22 +75,8 @@ const COMMAND_ENDINGS: &[(&[&str], &str)] = &[
 
 /// Words of camera detections.
 pub(super) const DETECTION_WORDS: &[&str] = &[
-    "tag",
-    "tags",
-    "apriltag",
-    "aruco",
-    "charuco",
-    "marker",
-    "markers",
-    "board",
-    "chessboard",
-    "checkerboard",
-    "fiducial",
-    "fiducials",
-    "detection",
-    "detections",
-    "object",
-    "objects",
+    "tag", "tags", "apriltag", "aruco", "charuco", "marker", "markers", "board", "chessboard",
+    "checkerboard", "fiducial", "fiducials", "detection", "detections", "object", "objects",
 ];
 
 /// Of [`DETECTION_WORDS`], also used for tracked bodies on a tool.
@@ -115,21 +101,8 @@ const TOOL_WORDS: &[&str] = &["tool", "tcp", "ee", "eef", "effector", "flange", 
 
 /// Words of arrays that are not poses.
 const NON_POSE_WORDS: &[&str] = &[
-    "joint",
-    "joints",
-    "velocity",
-    "velocities",
-    "speed",
-    "torque",
-    "torques",
-    "effort",
-    "efforts",
-    "wrench",
-    "force",
-    "forces",
-    "twist",
-    "temperature",
-    "temperatures",
+    "joint", "joints", "velocity", "velocities", "speed", "torque", "torques", "effort", "efforts",
+    "wrench", "force", "forces", "twist", "temperature", "temperatures",
 ];
 
 /// Consecutive topic words of measured tool poses, and their drivers.

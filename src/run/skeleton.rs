@@ -228,12 +228,8 @@ pub(super) mod tests {
     }
 
     const ARM: [&str; 6] = [
-        "j1 revolute base l1",
-        "j2 revolute l1 l2",
-        "j3 revolute l2 l3",
-        "j4 revolute l3 l4",
-        "f fixed l4 flange",
-        "t fixed flange tool0",
+        "j1 revolute base l1", "j2 revolute l1 l2", "j3 revolute l2 l3", "j4 revolute l3 l4",
+        "f fixed l4 flange", "t fixed flange tool0",
     ];
 
     fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
@@ -263,12 +259,8 @@ pub(super) mod tests {
     #[test]
     fn fingers_with_joints_of_their_own_are_no_arms() {
         let joints = with(&[
-            "a1 revolute tool0 a",
-            "a2 revolute a aa",
-            "a3 revolute aa aaa",
-            "b1 revolute tool0 b",
-            "b2 revolute b bb",
-            "b3 revolute bb bbb",
+            "a1 revolute tool0 a", "a2 revolute a aa", "a3 revolute aa aaa", "b1 revolute tool0 b",
+            "b2 revolute b bb", "b3 revolute bb bbb",
         ]);
         assert_eq!(only_arm(&robot(&joints)).0.len(), 4);
     }

@@ -36,19 +36,8 @@ impl PoseSourceKind {
 
 /// Motion-capture systems and laser trackers.
 const TRACKER_WORDS: &[&str] = &[
-    "vicon",
-    "optitrack",
-    "natnet",
-    "mocap",
-    "qualisys",
-    "phasespace",
-    "vrpn",
-    "tracker",
-    "polaris",
-    "atracsys",
-    "leica",
-    "vive",
-    "lighthouse",
+    "vicon", "optitrack", "natnet", "mocap", "qualisys", "phasespace", "vrpn", "tracker",
+    "polaris", "atracsys", "leica", "vive", "lighthouse",
 ];
 
 const CAMERA_WORDS: &[&str] = &["apriltag", "aruco", "charuco", "camera", "optical"];

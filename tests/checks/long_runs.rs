@@ -12,9 +12,7 @@ fn long_log(change: impl FnOnce(&mut Log)) -> Log {
     Log::modified(|log| {
         log.run.duration_s = 720.0;
         for timing in [
-            &mut log.run.joints.timing,
-            &mut log.run.pose.timing,
-            &mut log.run.tf.timing,
+            &mut log.run.joints.timing, &mut log.run.pose.timing, &mut log.run.tf.timing,
             &mut log.run.imu.timing,
         ] {
             timing.rate_hz = 25.0;

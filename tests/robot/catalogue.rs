@@ -93,12 +93,8 @@ fn arms_are_found_by_name_alias_and_loose_spelling() {
 #[test]
 fn joint_names_of_a_log_find_the_arm() {
     let ur = [
-        "elbow_joint",
-        "shoulder_lift_joint",
-        "shoulder_pan_joint",
-        "wrist_1_joint",
-        "wrist_2_joint",
-        "wrist_3_joint",
+        "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint",
+        "wrist_2_joint", "wrist_3_joint",
     ];
     let candidates = catalogue::candidates_for(&ur);
     assert_eq!(candidates[0].names.matched, 6);

@@ -72,11 +72,8 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
             "the table fits the streams under neither convention; {SETTLE}"
         )),
     };
-    let error = (result == DhConventionResult::Other).then_some(Estimate::misinterpretation(
-        "DH convention",
-        is,
-        read_as,
-    ));
+    let error = (result == DhConventionResult::Other)
+        .then_some(Estimate::misinterpretation("DH convention", is, read_as));
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({

@@ -158,14 +158,7 @@ fn write_motion(
 ) -> io::Result<()> {
     let chain = &arm.chain;
     let mut rows = table([
-        "joint",
-        "from",
-        "to",
-        "speed",
-        "limit",
-        "acceleration",
-        "limit",
-        "position limits",
+        "joint", "from", "to", "speed", "limit", "acceleration", "limit", "position limits",
     ]);
     for (joint, extent) in joint_ranges(motion).into_iter().enumerate() {
         let JointRange { low, high, speed, acceleration } = extent;

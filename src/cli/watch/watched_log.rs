@@ -117,8 +117,7 @@ impl WatchedLog {
         if matches!(self.read_mode, ReadMode::Unknown) && self.size() > 0 {
             self.read_mode = match LogFollower::is_supported(&self.path) {
                 true => ReadMode::Incremental(Box::new(LogFollower::new(
-                    &self.path,
-                    &self.options.read,
+                    &self.path, &self.options.read,
                 ))),
                 false => ReadMode::Whole(0),
             };

@@ -81,11 +81,7 @@ impl<'a> StreamSource<'a> {
                 rotation: stream.is_rotation_excluded,
             },
             ..PoseObservations::new(
-                stream.joints,
-                chain,
-                &stream.columns,
-                &self.rest_speeds,
-                &stream.t_s,
+                stream.joints, chain, &stream.columns, &self.rest_speeds, &stream.t_s,
                 &stream.poses,
             )
         }

@@ -358,12 +358,7 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
         .filter_map(|(sample, force)| {
             let expected = fit.reference * samples.fk[sample] * fit.tool;
             let truth = decode_nearest(
-                &fit.encoding,
-                &samples.after,
-                &samples.logged,
-                sample,
-                &expected,
-                &mut buffer,
+                &fit.encoding, &samples.after, &samples.logged, sample, &expected, &mut buffer,
             )?;
             Some(truth * force)
         })

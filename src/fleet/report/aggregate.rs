@@ -123,29 +123,11 @@ const RUN_COLUMNS: &[&str] = &[
     "start_ns",
 ];
 const CHECK_COLUMNS: &[&str] = &[
-    "key",
-    "code",
-    "status",
-    "robot",
-    "topic",
-    "joint",
-    "frame",
-    "value",
-    "unit",
-    "ci95_low",
-    "ci95_high",
-    "estimate_json",
+    "key", "code", "status", "robot", "topic", "joint", "frame", "value", "unit", "ci95_low",
+    "ci95_high", "estimate_json",
 ];
 const FINDING_COLUMNS: &[&str] = &[
-    "key",
-    "code",
-    "severity",
-    "title",
-    "message",
-    "robot",
-    "topic",
-    "joint",
-    "frame",
+    "key", "code", "severity", "title", "message", "robot", "topic", "joint", "frame",
     "ignored_because",
 ];
 

@@ -21,11 +21,7 @@ use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, 
 
 /// Joint names of every UR arm, base to tip.
 pub const UR_JOINTS: [&str; 6] = [
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",
     "wrist_3_joint",
 ];
 

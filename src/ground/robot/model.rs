@@ -285,9 +285,7 @@ impl Robot {
             link.name = rename(&link.name);
         }
         let named = [
-            &mut robot.default_base,
-            &mut robot.default_tip,
-            &mut robot.controller_base,
+            &mut robot.default_base, &mut robot.default_tip, &mut robot.controller_base,
             &mut robot.controller_tip,
         ];
         for link in named.into_iter().flatten() {

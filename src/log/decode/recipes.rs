@@ -130,9 +130,7 @@ static RECIPES: &[Recipe] = &[
     Recipe {
         // ROS 1 spells the matrix in capitals.
         type_names: &[
-            "franka_msgs/FrankaState",
-            "franka_control/FrankaState",
-            "franka_hw/FrankaState",
+            "franka_msgs/FrankaState", "franka_control/FrankaState", "franka_hw/FrankaState",
         ],
         row_list: None,
         layouts: &[

@@ -13,38 +13,12 @@ use ground::time::NANOS_PER_SECOND;
 
 /// Last words of the names of time columns.
 const TIME_WORDS: &[&str] = &[
-    "timestamp",
-    "timestamps",
-    "time",
-    "times",
-    "t",
-    "stamp",
-    "stamps",
-    "ts",
-    "ipoc",
-    "elapsed",
-    "zeit",
-    "zeitstempel",
-    "uhrzeit",
-    "temps",
-    "tiempo",
-    "tempo",
-    "时间",
-    "时间戳",
-    "時間",
-    "時刻",
+    "timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed",
+    "zeit", "zeitstempel", "uhrzeit", "temps", "tiempo", "tempo", "时间", "时间戳", "時間", "時刻",
 ];
 /// Words for times that are not row stamps.
 const EXCLUDED_WORDS: &[&str] = &[
-    "delta",
-    "dt",
-    "duration",
-    "delay",
-    "remaining",
-    "index",
-    "control",
-    "policy",
-    "cameras",
+    "delta", "dt", "duration", "delay", "remaining", "index", "control", "policy", "cameras",
     "sleep",
 ];
 

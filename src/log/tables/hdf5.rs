@@ -26,20 +26,8 @@ const FALLBACK_PARTS: usize = 64;
 /// Limit per group or data set.
 const MAX_HEADER_BYTES: usize = 4 << 20;
 const EPISODE_PREFIXES: &[&str] = &[
-    "demo",
-    "episode",
-    "ep",
-    "traj",
-    "trajectory",
-    "trial",
-    "run",
-    "rollout",
-    "take",
-    "recording",
-    "session",
-    "experiment",
-    "repetition",
-    "attempt",
+    "demo", "episode", "ep", "traj", "trajectory", "trial", "run", "rollout", "take", "recording",
+    "session", "experiment", "repetition", "attempt",
 ];
 /// Groups of episodes.
 const PERSON_PREFIXES: &[&str] =

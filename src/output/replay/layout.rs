@@ -114,14 +114,8 @@ fn scene_view(
     };
     /// The audit has other views for these entities.
     const LAYER_RULES: [&str; 8] = [
-        "+ /**",
-        "- /arms/**",
-        "- /errors/**",
-        "- /joints/**",
-        "- /proof/**",
-        "- /findings/**",
-        "- /spans/**",
-        "- /report/**",
+        "+ /**", "- /arms/**", "- /errors/**", "- /joints/**", "- /proof/**", "- /findings/**",
+        "- /spans/**", "- /report/**",
     ];
     let mut rules = vec!["$origin/**"];
     rules.extend(LAYER_RULES.iter().filter(|_| is_layer));

@@ -50,21 +50,8 @@ pub enum ReferenceContent {
 
 /// Topic words of arrays without joint positions.
 const NON_POSITION_WORDS: &[&str] = &[
-    "velocity",
-    "velocities",
-    "speed",
-    "torque",
-    "torques",
-    "effort",
-    "efforts",
-    "wrench",
-    "force",
-    "forces",
-    "twist",
-    "pose",
-    "tcp",
-    "acceleration",
-    "current",
+    "velocity", "velocities", "speed", "torque", "torques", "effort", "efforts", "wrench", "force",
+    "forces", "twist", "pose", "tcp", "acceleration", "current",
 ];
 
 /// Maximum number of rows before thinning, in which case a long run uses only its excerpts.

@@ -146,17 +146,8 @@ fn a_prismatic_joint_is_in_metres() {
 fn tasks_follow_lines_within_joint_limits() {
     use Task::*;
     let tasks = [
-        Picking,
-        Palletising,
-        Welding,
-        Spraying,
-        Screwdriving,
-        BinPicking,
-        Teleoperation,
-        Servoing,
-        Conveyor,
-        Drawer,
-        Calibration,
+        Picking, Palletising, Welding, Spraying, Screwdriving, BinPicking, Teleoperation, Servoing,
+        Conveyor, Drawer, Calibration,
     ];
     for task in tasks {
         let run = Scenario { motion: Motion::Task(task), ..quiet_run() };
