@@ -207,15 +207,15 @@ pub(super) fn may_have_role(stream: &Stream, role: Role) -> bool {
 pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;
     let topic_words = split_words(topic);
+    if let Some(seen) = target_of_camera(topic) {
+        return seen;
+    }
     if pose.is_declared {
         return (Role::Pose, "declared".to_owned());
     }
     let is_of_camera = find_word(&split_words(frame_id), CAMERA_WORDS).is_some();
     if let Some(found) = ambiguous_role(&topic_words, pose.frame).filter(|_| !is_of_camera) {
         return found;
-    }
-    if let Some(word) = camera_of_target(topic) {
-        return (Role::Target, format!("seen by a camera, by 'target' and '{word}' in its name"));
     }
     if let Some(word) = find_word(&topic_words, DETECTION_WORDS) {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
@@ -287,10 +287,12 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     }
 }
 
-/// The camera's word in a name of a target's pose in its frame, such as `target2cam` or `T_cam_target`.
-pub(super) fn camera_of_target(topic: &str) -> Option<&'static str> {
+/// The role of a target's pose in the frame of a camera that its name states, such as `target2cam` or `T_cam_target`.
+pub(super) fn target_of_camera(topic: &str) -> Option<RoleDecision> {
     let words = split_words(&topic.replace('2', "_"));
-    find_word(&words, CAMERA_WORDS).filter(|_| find_word(&words, TARGET_WORDS).is_some())
+    let [camera, target] = [CAMERA_WORDS, TARGET_WORDS].map(|known| find_word(&words, known));
+    let (camera, target) = camera.zip(target)?;
+    Some((Role::Target, format!("seen by a camera, by '{target}' and '{camera}' in its name")))
 }
 
 /// Role of ambiguous names: tracked bodies on a tool, or camera targets and goals. The motion decides.
@@ -320,6 +322,9 @@ fn ambiguous_role(topic_words: &[String], frame: FrameKind) -> Option<RoleDecisi
 pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDecision {
     let topic_words = split_words(topic);
     let is_pose_width = matches!(width, 6 | 7 | 12 | 16);
+    if let Some(seen) = target_of_camera(topic).filter(|_| is_pose_width) {
+        return seen;
+    }
     if is_declared && is_pose_width {
         return (Role::Pose, "declared".to_owned());
     }
@@ -362,7 +367,7 @@ fn command_word(topic: &str) -> Option<&'static str> {
     const COMMAND_COLUMN_WORDS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
     let words = decisive_words(topic);
-    let is_detection = camera_of_target(topic).is_some();
+    let is_detection = target_of_camera(topic).is_some();
     find_word(&words, COMMAND_WORDS)
         .filter(|_| !is_detection)
         .or_else(|| find_word(&words, COMMAND_COLUMN_WORDS).filter(|_| is_column))

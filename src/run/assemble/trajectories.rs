@@ -11,7 +11,7 @@ use crate::geometry::{Rotation, Vec3, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
-use crate::run::role::{Role, array_role, camera_of_target, may_be_poses};
+use crate::run::role::{Role, array_role, may_be_poses, target_of_camera};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
@@ -143,7 +143,7 @@ impl Assembly<'_> {
             let topic = &self.streams[*index].topic;
             !is_measured(index)
                 && self.options.reference.is_none()
-                && (topic.starts_with('/') || camera_of_target(topic).is_some())
+                && (topic.starts_with('/') || target_of_camera(topic).is_some())
         };
         let all =
             (0..self.streams.len()).filter(|index| has_poses(index) && !is_other_topic(index));
