@@ -84,7 +84,7 @@ fn motion_m(track: &PoseTrack, rotations: &[Rotation]) -> f64 {
 
 impl Assembly<'_> {
     /// Makes a pose stream the reference of the others: the caller's, else the one with the smallest errors that
-    /// another follows. Streams that do not follow it are of other bodies, unless none does.
+    /// another follows. Streams that do not follow it are of other bodies, unless there are only two.
     ///
     /// # Errors
     /// If the caller's reference is not a stream of poses with rotations that change.
@@ -103,7 +103,8 @@ impl Assembly<'_> {
         let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
         // In a log of an arm, a pose stream may have nothing to do with the others.
         let is_without_joints = matches!(no_arm, RunError::NoJointStates { question: None, .. });
-        let first = arms.first().filter(|_| is_without_joints).cloned();
+        let is_only_pair = |arm: &&Arm| is_without_joints && other_streams(arm).count() == 1;
+        let first = arms.first().filter(is_only_pair).cloned();
         let followed = |mut arm: Arm| {
             let followers = self.followers(&arm);
             arm.trajectory.as_mut()?.others.clone_from(&followers);
