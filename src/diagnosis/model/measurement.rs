@@ -9,7 +9,7 @@ use crate::FrameCorrection;
 use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
-use ground::stream::JointTrack;
+use ground::stream::{JointSequence, JointTrack};
 use nalgebra::{DVector, Translation3};
 
 /// Columns of a stream's parameters.
@@ -237,10 +237,8 @@ impl Predicted {
     }
 }
 
-pub(crate) struct PredictionBuffers {
-    cursor: usize,
-    track_q: Vec<f64>,
-    track_qd: Vec<f64>,
+pub(crate) struct PredictionBuffers<'a> {
+    joints: JointSequence<'a>,
     q: Vec<f64>,
     /// Per joint, then 1 for a moving base.
     qd: Vec<f64>,
@@ -248,14 +246,12 @@ pub(crate) struct PredictionBuffers {
     jacobian: Vec<[f64; 6]>,
 }
 
-impl PredictionBuffers {
-    pub fn new(observations: &PoseObservations) -> Self {
-        let (dof, track) = (observations.columns.len(), observations.joints.dof);
+impl<'a> PredictionBuffers<'a> {
+    pub fn new(observations: &PoseObservations<'a>) -> Self {
+        let dof = observations.columns.len();
         let moves = usize::from(observations.moving_frame.is_some());
         Self {
-            cursor: 0,
-            track_q: vec![0.0; track],
-            track_qd: vec![0.0; track],
+            joints: observations.joints.sequence(),
             q: vec![0.0; dof],
             qd: vec![1.0; dof + moves],
             jacobian: vec![[0.0; 6]; dof + moves],
@@ -347,10 +343,8 @@ impl PoseObservations<'_> {
     ) -> Option<Predicted> {
         let stamp = self.t_s[k];
         let truth = stamp - stream.latency_s - stream.skew * (stamp - self.middle_s);
-        let PredictionBuffers { cursor, track_q, track_qd, q, qd, jacobian } = sweep;
-        if !self.joints.at(truth, cursor, track_q, track_qd) {
-            return None;
-        }
+        let PredictionBuffers { joints, q, qd, jacobian } = sweep;
+        let (track_q, track_qd) = joints.at(truth)?;
         let mut moving = false;
         for (i, &column) in self.columns.iter().enumerate() {
             (q[i], qd[i]) = (track_q[column] + offsets[column], track_qd[column]);
@@ -470,12 +464,13 @@ impl PoseObservations<'_> {
                 rows.set_all(column, self.excluded.mask(derivative));
             };
             let jacobian = predicted.jacobian(&sweep.jacobian, stream);
+            let (track_q, _) = sweep.joints.last();
             let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
             for (i, &column) in self.columns.iter().enumerate() {
                 let derivative = jacobian.joint(i);
                 set(column, derivative);
                 for (gain, by) in self.gains_of(column).filter(|(gain, _)| *gain < joints) {
-                    set(gain, scaled(derivative, sweep.track_q[by]));
+                    set(gain, scaled(derivative, track_q[by]));
                 }
             }
             if predicted.moving {

@@ -4,7 +4,7 @@ use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{Pose, Rotation, interpolate};
 use ground::robot::Chain;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::{JointSequence, JointTrack, Orientations};
 use std::ops::Range;
 
 /// Per stream, in the search for causes.
@@ -84,28 +84,22 @@ pub(crate) fn pose_between(t_s: &[f64], poses: &[Pose], at_s: f64, max_gap_s: f6
 
 /// FK of an arm at times, fastest if these ascend.
 pub(crate) struct FkSequence<'a> {
-    joints: &'a JointTrack,
+    joints: JointSequence<'a>,
     chain: &'a Chain,
     columns: &'a [usize],
-    cursor: usize,
-    row: Vec<f64>,
-    rates: Vec<f64>,
     q: Vec<f64>,
 }
 
 impl<'a> FkSequence<'a> {
     pub fn new(joints: &'a JointTrack, chain: &'a Chain, columns: &'a [usize]) -> Self {
-        let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
-        Self { joints, chain, columns, cursor: 0, row, rates, q: vec![0.0; columns.len()] }
+        Self { joints: joints.sequence(), chain, columns, q: vec![0.0; columns.len()] }
     }
 
     /// `None` if joint states do not cover the time.
     pub fn at(&mut self, t_s: f64) -> Option<Pose> {
-        if !self.joints.at(t_s, &mut self.cursor, &mut self.row, &mut self.rates) {
-            return None;
-        }
+        let (row, _) = self.joints.at(t_s)?;
         for (q, &column) in self.q.iter_mut().zip(self.columns) {
-            *q = self.row[column];
+            *q = row[column];
         }
         Some(self.chain.forward(&self.q))
     }
@@ -120,11 +114,11 @@ pub(crate) fn slow_samples(
     /// The slow half of these is used.
     const MAX_SAMPLES: usize = 4000;
     let t_s = &stream.track.t_s;
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut sequence = joints.sequence();
     let mut slowest: Vec<(usize, f64)> = Vec::new();
     let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for (k, t) in t_s.iter().enumerate().step_by(stride) {
-        if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
+        if let Some((_, qd)) = sequence.at(t - lag_s) {
             slowest.push((k, qd.iter().map(|v| v * v).sum()));
         }
     }

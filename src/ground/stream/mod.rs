@@ -16,4 +16,6 @@ pub use columns::{
 };
 pub use encoder_tick::{encoder_tick, is_whole};
 pub use times::{SharedTimes, Times};
-pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack, sample_noise};
+pub use tracks::{
+    DeclaredUnits, ImuTrack, JointSequence, JointTrack, Orientations, PoseTrack, sample_noise,
+};

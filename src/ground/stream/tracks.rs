@@ -55,6 +55,12 @@ impl JointTrack {
         Some((*self.t_s.first()?, *self.t_s.last()?))
     }
 
+    /// Interpolator that starts at the first sample.
+    pub fn sequence(&self) -> JointSequence<'_> {
+        let (q, qd) = (vec![0.0; self.dof], vec![0.0; self.dof]);
+        JointSequence { track: self, cursor: 0, q, qd }
+    }
+
     /// Interpolates positions (cubic Hermite) and velocities (linear) into `q` and `qd`, `dof` values each.
     /// The slope of the cubic would amplify position noise. Returns false and writes nothing outside the
     /// track and in gaps in which a joint moved: longer than 2 s, or than 0.1 s and ten adjacent intervals.
@@ -109,6 +115,27 @@ impl JointTrack {
         let speeds = &self.qd[row * self.dof..(row + 2) * self.dof];
         a.iter().zip(b).any(|(a, b)| (a - b).abs() > MAX_REST_CHANGE_AND_SPEED.0)
             || speeds.iter().any(|speed| speed.abs() > MAX_REST_CHANGE_AND_SPEED.1)
+    }
+}
+
+/// Interpolates the joint states of a track, fastest at ascending times.
+#[derive(Clone, Debug)]
+pub struct JointSequence<'a> {
+    track: &'a JointTrack,
+    cursor: usize,
+    q: Vec<f64>,
+    qd: Vec<f64>,
+}
+
+impl JointSequence<'_> {
+    /// Positions and velocities, one per joint. `None` where [`JointTrack::at`] is false.
+    pub fn at(&mut self, t_s: f64) -> Option<(&[f64], &[f64])> {
+        self.track.at(t_s, &mut self.cursor, &mut self.q, &mut self.qd).then_some(self.last())
+    }
+
+    /// Positions and velocities at the last time with joint states; zeros before the first.
+    pub fn last(&self) -> (&[f64], &[f64]) {
+        (&self.q, &self.qd)
     }
 }
 
