@@ -40,7 +40,7 @@ pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stats::mean;
-use ground::stream::{ImuTrack, JointTrack, sample_noise};
+use ground::stream::{ImuTrack, JointSequence, JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
 pub(super) const MAX_IMU_FIT_SAMPLES: usize = 5000;
@@ -338,9 +338,8 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     mean(values.map(|value| value * value)).sqrt()
 }
 
-struct LinkBuffers {
-    cursor: usize,
-    track: [Vec<f64>; 2],
+struct LinkBuffers<'a> {
+    joints: JointSequence<'a>,
     q: Vec<f64>,
     jacobian: Vec<[f64; 6]>,
 }
@@ -368,21 +367,17 @@ impl<'a> Link<'a> {
         Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
 
-    fn buffers(&self) -> LinkBuffers {
-        let (own, track) = (self.stream.columns.len(), self.joints.dof);
+    fn buffers(&self) -> LinkBuffers<'a> {
+        let joints = self.stream.columns.len();
         LinkBuffers {
-            cursor: 0,
-            track: [vec![0.0; track], vec![0.0; track]],
-            q: vec![0.0; own],
-            jacobian: vec![[0.0; 6]; own],
+            joints: self.joints.sequence(),
+            q: vec![0.0; joints],
+            jacobian: vec![[0.0; 6]; joints],
         }
     }
 
     fn at(&self, t_s: f64, buffers: &mut LinkBuffers) -> Option<LinkState> {
-        let [q, qd] = &mut buffers.track;
-        if !self.joints.at(t_s, &mut buffers.cursor, q, qd) {
-            return None;
-        }
+        let (q, qd) = buffers.joints.at(t_s)?;
         for (joint_q, &column) in buffers.q.iter_mut().zip(self.stream.columns) {
             *joint_q = q[column];
         }
