@@ -47,20 +47,19 @@ impl Commands {
     ) -> Self {
         let mut commands = Self::default();
         let mut latest = vec![f64::NAN; joints.dof];
-        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut sequence = joints.sequence();
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
             for (&column, &value) in order.iter().zip(row).filter(|(_, value)| value.is_finite()) {
                 latest[column] = value;
             }
-            let is_complete = columns.iter().all(|&column| latest[column].is_finite());
-            if !is_complete && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
-                continue;
-            }
+            let measured = sequence.at(t_s);
             let position = |&column: &usize| match latest[column].is_finite() {
-                true => latest[column],
-                false => at[column],
+                true => Some(latest[column]),
+                false => measured.map(|(q, _)| q[column]),
             };
-            let q: Vec<f64> = columns.iter().map(position).collect();
+            let Some(q) = columns.iter().map(position).collect::<Option<Vec<f64>>>() else {
+                continue;
+            };
             commands.series.t_s.push(t_s);
             commands.series.poses.push(chain.forward(&q));
             commands.joints.extend(&latest);
@@ -86,10 +85,10 @@ pub fn infer_joint_order(
     let mut as_tracked = columns.to_vec();
     as_tracked.sort_unstable();
     let distance_at = |order: &[usize], later_s: f64| {
-        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut sequence = joints.sequence();
         let (mut sum, mut count) = (0.0, 0.0);
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
-            if joints.at(t_s + later_s, &mut cursor, &mut at, &mut speed) {
+            if let Some((at, _)) = sequence.at(t_s + later_s) {
                 let distances = order.iter().zip(row).map(|(&column, q)| (at[column] - q).abs());
                 sum += distances.sum::<f64>();
                 count += order.len() as f64;

@@ -325,19 +325,19 @@ impl ArmRun<'_> {
     ) -> StreamSamples<'b> {
         let truth_s = self.truth_s(stream, diagnosis);
         let columns = CauseColumns::new(diagnosis, stream.chain).with_free_zeros();
-        let dof = self.joints.dof;
-        let (mut all, mut all_qd, mut at, mut cursor) = (Vec::new(), Vec::new(), Vec::new(), 0);
-        let (mut q, mut qd) = (vec![0.0; dof], vec![0.0; dof]);
+        let (mut all, mut all_qd, mut at) = (Vec::new(), Vec::new(), Vec::new());
+        let mut sequence = self.joints.sequence();
         for row in columns.samples() {
             let at_s = truth_s(diagnosis.aligned.t_s[row]);
             // Beyond the joint states, the last positions stay.
-            self.joints.at(at_s, &mut cursor, &mut q, &mut qd);
+            sequence.at(at_s);
+            let (q, qd) = sequence.last();
             let row = self.joints.t_s.partition_point(|t_s| *t_s <= at_s).saturating_sub(1);
             let next = (row + 1).min(self.joints.len() - 1);
             let period_s = (self.joints.t_s[next] - self.joints.t_s[row]).max(f64::MIN_POSITIVE);
             let part = ((at_s - self.joints.t_s[row]) / period_s).clamp(0.0, 1.0);
-            all.push(q.clone());
-            all_qd.push(qd.clone());
+            all.push(q.to_vec());
+            all_qd.push(qd.to_vec());
             at.push((row, part));
         }
         StreamSamples { columns, joints: stream.columns, q: all, qd: all_qd, at }

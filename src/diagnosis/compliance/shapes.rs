@@ -157,13 +157,15 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointComp
             ComplianceShape::Delay { max_speed } => {
                 let delay_s = amount / max_speed;
                 let late = joints.clone();
-                let [mut later, mut speeds] = [&late.q, &late.qd].map(|all| all[..dof].to_vec());
-                let mut cursor = 0;
+                let mut sequence = late.sequence();
+                let mut later = (late.q[column], late.qd[column]);
                 for row in 0..joints.len() {
                     let at = row * dof + column;
                     // Beyond the ends, the first or last positions stay.
-                    late.at(late.t_s[row] + delay_s, &mut cursor, &mut later, &mut speeds);
-                    (joints.q[at], joints.qd[at]) = (later[column], speeds[column]);
+                    if let Some((q, qd)) = sequence.at(late.t_s[row] + delay_s) {
+                        later = (q[column], qd[column]);
+                    }
+                    (joints.q[at], joints.qd[at]) = later;
                 }
             }
         }

@@ -294,12 +294,12 @@ pub(super) fn single_zeros(
     const MAX_ZERO_RESIDUAL_RATIO: f64 = 0.3;
     let chain = observations.chain;
     let PoseObservations { joints, columns, .. } = *observations;
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut sequence = joints.sequence();
     let (mut xyz, mut rotation, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for k in
         (0..observations.len()).step_by(observations.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1))
     {
-        if joints.at(observations.t_s[k] - lag_s, &mut cursor, &mut q, &mut qd) {
+        if let Some((q, _)) = sequence.at(observations.t_s[k] - lag_s) {
             xyz.push(observations.xyz[k]);
             rotation.push(observations.rotation[k]);
             rows.extend(columns.iter().map(|&column| q[column]));

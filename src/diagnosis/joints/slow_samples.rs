@@ -34,12 +34,12 @@ pub(super) fn slow_simultaneous_samples(
     lag_s: f64,
 ) -> SimultaneousSamples {
     let track = stream.track;
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut sequence = joints.sequence();
     let rms = rms_speeds(joints);
     let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
     for (k, t_s) in track.t_s.iter().enumerate() {
-        if joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
-            let speed = combined_speed(&qd, &rms);
+        if let Some((q, qd)) = sequence.at(t_s - lag_s) {
+            let speed = combined_speed(qd, &rms);
             covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
         }
     }

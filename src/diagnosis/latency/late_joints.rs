@@ -49,11 +49,9 @@ impl LateJoints {
 pub fn with_earlier_joints(joints: &JointTrack, columns: &[usize], late_s: f64) -> JointTrack {
     let dof = joints.dof;
     let mut moved = JointTrack { t_s: Vec::new(), q: Vec::new(), qd: Vec::new(), ..joints.clone() };
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; dof], vec![0.0; dof]);
+    let mut sequence = joints.sequence();
     for (row, t_s) in joints.t_s.iter().enumerate() {
-        if !joints.at(t_s + late_s, &mut cursor, &mut q, &mut qd) {
-            continue;
-        }
+        let Some((q, qd)) = sequence.at(t_s + late_s) else { continue };
         let own = row * dof..(row + 1) * dof;
         let (mut row_q, mut row_qd) = (joints.q[own.clone()].to_vec(), joints.qd[own].to_vec());
         for &column in columns {
@@ -119,20 +117,18 @@ impl TwoLatencies {
         let mut normal = DMatrix::<f64>::zeros(count, count);
         let mut right = DVector::<f64>::zeros(count);
         let (mut squares, mut times) = (0.0, Vec::new());
-        let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut sequence = joints.sequence();
         let mut link = vec![[0.0; 6]; columns.len()];
         let identity = Pose::identity();
         for at in (0..track.t_s.len()).step_by(track.t_s.len().div_ceil(MAX_SAMPLES).max(1)) {
-            if !joints.at(track.t_s[at] - lag_s, &mut cursor, &mut q, &mut qd) {
-                continue;
-            }
+            let Some((q, qd)) = sequence.at(track.t_s[at] - lag_s) else { continue };
             let of_chain =
                 |all: &[f64]| -> Vec<f64> { columns.iter().map(|&column| all[column]).collect() };
-            let rates = of_chain(&qd);
+            let rates = of_chain(qd);
             let is_own = columns.iter().map(|column| own.contains(column));
             let own_rates: Vec<f64> =
                 rates.iter().zip(is_own).map(|(rate, own)| if own { *rate } else { 0.0 }).collect();
-            let base_from_tip = chain.forward_with_jacobian(&of_chain(&q), &mut link);
+            let base_from_tip = chain.forward_with_jacobian(&of_chain(q), &mut link);
             let residual = track.xyz[at] * factor - base_from_tip.translation.vector;
             let jacobian = PoseJacobian::new(&link, &identity, &base_from_tip, &identity);
             let latencies =

@@ -225,12 +225,13 @@ pub(crate) fn align_with_fk(
 /// Whether a joint of the chain moves at each stamp.
 fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
     let still = rest_speeds(joints);
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut moves = |t_s: &f64| {
-        joints.at(*t_s, &mut cursor, &mut q, &mut qd)
-            && stream.columns.iter().any(|&column| qd[column].abs() > still[column])
+    let mut sequence = joints.sequence();
+    let moves = |t_s: &f64| {
+        sequence.at(*t_s).is_some_and(|(_, qd)| {
+            stream.columns.iter().any(|&column| qd[column].abs() > still[column])
+        })
     };
-    t_s.iter().map(&mut moves).collect()
+    t_s.iter().map(moves).collect()
 }
 
 pub(crate) struct ErrorSeries<'a> {

@@ -461,16 +461,12 @@ impl<'a> StreamWithFk<'a> {
         mut visit: impl FnMut(&PoseJacobian, &[f64], &Vec3),
     ) {
         let (chain, columns) = (self.stream.chain, self.stream.columns);
-        let (mut cursor, track) = (0, self.joints.dof);
-        let (mut track_q, mut track_qd) = (vec![0.0; track], vec![0.0; track]);
+        let mut sequence = self.joints.sequence();
         let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
         let mut link_columns = vec![[0.0; 6]; chain.dof()];
         let tool = pose(parameters.tool.into(), Rotation::identity());
         for (&t_s, logged) in self.samples.t_s.iter().zip(&self.samples.xyz) {
-            let truth_s = t_s - parameters.lag_s;
-            if !self.joints.at(truth_s, &mut cursor, &mut track_q, &mut track_qd) {
-                continue;
-            }
+            let Some((track_q, track_qd)) = sequence.at(t_s - parameters.lag_s) else { continue };
             for (at, &column) in columns.iter().enumerate() {
                 let turns = self.in_degrees && !chain.slides(at);
                 let unit = if turns { 1_f64.to_radians() } else { 1.0 };

@@ -241,10 +241,9 @@ fn tip_pose(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
 }
 
 fn are_at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
-    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut sequence = joints.sequence();
     let rests = |&t_s: &f64| {
-        joints.at(t_s, &mut cursor, &mut q, &mut qd)
-            && qd.iter().all(|speed| speed.abs() < MAX_REST_SPEED)
+        sequence.at(t_s).is_some_and(|(_, qd)| qd.iter().all(|speed| speed.abs() < MAX_REST_SPEED))
     };
     t_s.iter().map(rests).collect()
 }
