@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::stream::{Columns, JointColumn, JointColumns, JointTrack, sample_noise};
+use crate::stream::{Columns, JointColumn, JointColumns, JointSequence, JointTrack, sample_noise};
 use crate::time::Stamp;
 
 use super::Run;
@@ -130,15 +130,13 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     let noise = joints.iter().flat_map(|(_, track)| track.noise.iter().copied()).collect();
     let mut track = JointTrack { dof: names.len(), noise, ..Default::default() };
     let mut stamps = Vec::new();
-    let mut cursors: Vec<SampleCursor> = joints.iter().map(|_| SampleCursor::default()).collect();
+    let mut cursors: Vec<SampleCursor<'_>> =
+        joints.iter().map(|(stamps, track)| SampleCursor::new(stamps, track)).collect();
     let mut row: Vec<(f64, f64)> = Vec::with_capacity(names.len());
     for &stamp in grid {
         let t_s = stamp.seconds_since(origin);
         row.clear();
-        let at = |((stamps, track), cursor): (&(Vec<Stamp>, JointTrack), &mut SampleCursor)| {
-            cursor.sample(stamps, track, stamp, t_s)
-        };
-        row.extend(joints.iter().zip(&mut cursors).map_while(at));
+        row.extend(cursors.iter_mut().map_while(|cursor| cursor.sample(stamp, t_s)));
         if row.len() < names.len() {
             continue;
         }
@@ -229,29 +227,28 @@ impl<'a> JointTopic<'a> {
     }
 }
 
-#[derive(Default)]
-struct SampleCursor {
+/// Samples of one joint, read at ascending stamps.
+struct SampleCursor<'a> {
+    stamps: &'a [Stamp],
+    track: &'a JointTrack,
     next: usize,
-    interval: usize,
+    between: JointSequence<'a>,
 }
 
-impl SampleCursor {
+impl<'a> SampleCursor<'a> {
+    fn new(stamps: &'a [Stamp], track: &'a JointTrack) -> Self {
+        Self { stamps, track, next: 0, between: track.sequence() }
+    }
+
     /// Position and velocity at `stamp`, interpolated between samples.
-    fn sample(
-        &mut self,
-        stamps: &[Stamp],
-        track: &JointTrack,
-        stamp: Stamp,
-        t_s: f64,
-    ) -> Option<(f64, f64)> {
-        while stamps.get(self.next).is_some_and(|&own| own < stamp) {
+    fn sample(&mut self, stamp: Stamp, t_s: f64) -> Option<(f64, f64)> {
+        while self.stamps.get(self.next).is_some_and(|&own| own < stamp) {
             self.next += 1;
         }
-        if stamps.get(self.next) == Some(&stamp) {
-            return Some((track.q[self.next], track.qd[self.next]));
+        if self.stamps.get(self.next) == Some(&stamp) {
+            return Some((self.track.q[self.next], self.track.qd[self.next]));
         }
-        let (mut q, mut qd) = ([0.0], [0.0]);
-        track.at(t_s, &mut self.interval, &mut q, &mut qd).then_some((q[0], qd[0]))
+        self.between.at(t_s).map(|(q, qd)| (q[0], qd[0]))
     }
 }
 

@@ -59,24 +59,22 @@ pub fn expected_precision(
     purpose: Purpose,
     sensing: &Sensing,
 ) -> Option<Vec<ExpectedPrecision>> {
-    let sampled = sample_motion(motion, chain)?;
+    let sampled = sample_motion(motion)?;
     Some(LinearizedMotion::new(chain, &sampled, purpose, sensing)?.expected_precisions())
 }
 
 /// Samples evaluation rows. `None` if these are more than 2 s apart during motion.
-fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
+fn sample_motion(motion: &JointTrack) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
-    let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
-    let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-    let (mut cursor, rows) = (0, 2 * EVALUATION_ROWS);
+    let mut sampled = JointTrack { dof: motion.dof, ..JointTrack::default() };
+    let mut sequence = motion.sequence();
+    let rows = 2 * EVALUATION_ROWS;
     for row in 0..rows {
         let t_s = first + (last - first) * row as f64 / (rows - 1) as f64;
-        if !motion.at(t_s.min(last), &mut cursor, &mut q, &mut qd) {
-            return None;
-        }
+        let (q, qd) = sequence.at(t_s.min(last))?;
         sampled.t_s.push(t_s);
-        sampled.q.extend_from_slice(&q);
-        sampled.qd.extend_from_slice(&qd);
+        sampled.q.extend_from_slice(q);
+        sampled.qd.extend_from_slice(qd);
     }
     Some(sampled)
 }
