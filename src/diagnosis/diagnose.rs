@@ -326,10 +326,10 @@ mod tests {
         let (mut joints, chain) = test_motion::arm();
         let poses = controller_and_tracker(&joints, 1e-4, |_, _| {});
         let late = joints.clone();
-        let (mut cursor, mut q, mut qd) = (0, [0.0; 6], [0.0; 6]);
+        let mut sequence = late.sequence();
         for (row, t_s) in late.t_s.iter().enumerate() {
-            late.at(t_s - 0.02, &mut cursor, &mut q, &mut qd);
-            joints.q[6 * row + 3] = q[3];
+            sequence.at(t_s - 0.02);
+            joints.q[6 * row + 3] = sequence.last().0[3];
         }
         let stream = test_motion::tip_stream(&poses[0], &chain);
         let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
@@ -408,17 +408,15 @@ mod tests {
         let (joints, chain) = test_motion::arm();
         let deviating = test_motion::deviating_chain(1e-4);
         let mut random = Lcg::new();
-        let (mut cursor, mut q, mut qd) = (0, [0.0; 6], [0.0; 6]);
+        let mut sequence = joints.sequence();
         let mut pose_at = |t_s: f64| {
             let is_changed = t_s > CHANGE_S;
             let late_s = if is_changed { STEP_S } else { 0.0 };
-            joints.at(t_s - late_s, &mut cursor, &mut q, &mut qd).then(|| {
-                let pose = deviating.forward(&q);
-                let slip_m = if is_changed { SLIP_M } else { 0.0 };
-                let slipped = pose.translation.vector + pose.rotation * Vec3::new(0.0, slip_m, 0.0);
-                let turn = rotation_from_rotvec(random.triple(1e-4).into());
-                (t_s, (slipped + Vec3::from(random.triple(1e-4)), turn * pose.rotation))
-            })
+            let pose = deviating.forward(sequence.at(t_s - late_s)?.0);
+            let slip_m = if is_changed { SLIP_M } else { 0.0 };
+            let slipped = pose.translation.vector + pose.rotation * Vec3::new(0.0, slip_m, 0.0);
+            let turn = rotation_from_rotvec(random.triple(1e-4).into());
+            Some((t_s, (slipped + Vec3::from(random.triple(1e-4)), turn * pose.rotation)))
         };
         let rows = joints.t_s.iter().filter_map(|t_s| pose_at(*t_s));
         let (t_s, poses): (Vec<f64>, Vec<_>) = rows.unzip();

@@ -11,9 +11,9 @@ use crate::stream::{
 use self::recording::{ROWS, Recording, START, TRANSPORT, poses, q_at, some_pose, stamps};
 
 fn misfit_m(arm: &Arm, source: &PoseSource) -> f64 {
-    let (mut q, mut qd) = (vec![0.0; arm.joints.dof], vec![0.0; arm.joints.dof]);
+    let mut sequence = arm.joints.sequence();
     let gaps = source.track.t_s.iter().zip(&source.track.xyz).map(|(&t_s, xyz)| {
-        assert!(arm.joints.at(t_s, &mut 0, &mut q, &mut qd));
+        let (q, _) = sequence.at(t_s).expect("joint states");
         let q: Vec<f64> = source.columns.iter().map(|&column| q[column]).collect();
         (source.chain.forward(&q).translation.vector - xyz).norm()
     });

@@ -332,11 +332,11 @@ mod tests {
     ) -> Option<Jump> {
         let (joints, chain) = test_motion::arm();
         let mut random = Lcg::new();
-        let (mut q, mut qd, mut cursor) = (vec![0.0; 6], vec![0.0; 6], 0);
+        let mut sequence = joints.sequence();
         let (mut t_s, mut poses) = (Vec::new(), Vec::new());
         for at_s in (10..980).map(|row| f64::from(row) * 0.02) {
-            assert!(joints.at(at_s - latency_s(at_s), &mut cursor, &mut q, &mut qd));
-            let pose = chain.forward(&q);
+            let (q, _) = sequence.at(at_s - latency_s(at_s)).expect("joint states");
+            let pose = chain.forward(q);
             let tip = pose * nalgebra::Point3::new(0.0, tool_m(at_s), 0.0);
             t_s.push(at_s);
             poses.push((tip.coords + Vec3::from(random.triple(5e-3)), pose.rotation));

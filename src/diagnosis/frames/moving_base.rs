@@ -354,12 +354,12 @@ mod tests {
         frame: impl Fn(f64) -> Pose,
     ) -> PoseTrack {
         let (mut poses, mut t_s) = (Vec::new(), Vec::new());
-        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        let mut sequence = joints.sequence();
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
             let truth_s = stamp - latency_s(stamp);
-            assert!(joints.at(truth_s, &mut 0, &mut q, &mut qd));
-            let pose = frame(truth_s) * chain.forward(&q);
+            let (q, _) = sequence.at(truth_s).expect("joint states");
+            let pose = frame(truth_s) * chain.forward(q);
             t_s.push(stamp);
             poses.push((pose.translation.vector, pose.rotation));
         }
@@ -478,11 +478,11 @@ mod tests {
         let world = Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]));
         let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
         let (mut poses, mut t_s) = (Vec::new(), Vec::new());
-        let (mut q, mut qd) = ([0.0; 3], [0.0; 3]);
+        let mut sequence = joints.sequence();
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
-            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
-            let pose = world * chain.forward(&q) * body;
+            let (q, _) = sequence.at(stamp).expect("joint states");
+            let pose = world * chain.forward(q) * body;
             t_s.push(stamp);
             poses.push((pose.translation.vector, pose.rotation));
         }

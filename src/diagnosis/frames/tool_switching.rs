@@ -357,11 +357,11 @@ mod tests {
         let (joints, chain) = arm();
         let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
         let (mut t_s, mut usual, mut logged) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        let mut sequence = joints.sequence();
         for row in 10..1900 {
             let stamp = f64::from(row) * 0.01 + 0.003;
-            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
-            let pose = world(stamp) * chain.forward(&q) * body;
+            let (q, _) = sequence.at(stamp).expect("joint states");
+            let pose = world(stamp) * chain.forward(q) * body;
             t_s.push(stamp);
             usual.push(pose);
             let pose = pose * other(stamp).unwrap_or_default();

@@ -156,10 +156,10 @@ mod tests {
         let (joints, chain) = arm();
         let mut random = rand_pcg::Pcg64::seed_from_u64(11);
         let (mut poses, mut t_s) = (Vec::new(), Vec::new());
-        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        let mut sequence = joints.sequence();
         for row in 100..1800 {
             let stamp = f64::from(row) * 0.01 + 0.003;
-            assert!(joints.at(stamp - 0.02, &mut 0, &mut q, &mut qd));
+            let mut q = sequence.at(stamp - 0.02).expect("joint states").0.to_vec();
             q[2] += 0.01;
             let pose = chain.forward(&q);
             let mut noise = || random.random_range(-NOISE_M..NOISE_M);

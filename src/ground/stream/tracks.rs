@@ -58,37 +58,7 @@ impl JointTrack {
     /// Interpolator that starts at the first sample.
     pub fn sequence(&self) -> JointSequence<'_> {
         let (q, qd) = (vec![0.0; self.dof], vec![0.0; self.dof]);
-        JointSequence { track: self, cursor: 0, q, qd }
-    }
-
-    /// Interpolates positions (cubic Hermite) and velocities (linear) into `q` and `qd`, `dof` values each.
-    /// The slope of the cubic would amplify position noise. Returns false and writes nothing outside the
-    /// track and in gaps in which a joint moved: longer than 2 s, or than 0.1 s and ten adjacent intervals.
-    ///
-    /// `cursor` stores the last interval: O(1) per call in time order. Hermite basis: Press et al.,
-    /// *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
-    pub fn at(&self, t_s: f64, cursor: &mut usize, q: &mut [f64], qd: &mut [f64]) -> bool {
-        let Some(left) = bracket(&self.t_s, t_s, cursor) else {
-            return false;
-        };
-        let h = self.t_s[left + 1] - self.t_s[left];
-        if self.is_gap(left) && t_s != self.t_s[left] && t_s != self.t_s[left + 1] {
-            return false;
-        }
-        let s = (t_s - self.t_s[left]) / h;
-        let (s2, s3) = (s * s, s * s * s);
-        let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
-        let (h01, h11) = (3.0 * s2 - 2.0 * s3, s3 - s2);
-        let rows = left * self.dof..(left + 2) * self.dof;
-        let (qa, qb) = self.q[rows.clone()].split_at(self.dof);
-        let (va, vb) = self.qd[rows].split_at(self.dof);
-        let (h10, h11) = (h10 * h, h11 * h);
-        let ends = qa.iter().zip(qb).zip(va.iter().zip(vb));
-        for ((q, qd), ((qa, qb), (va, vb))) in q.iter_mut().zip(qd).zip(ends) {
-            *q = h00 * qa + h10 * va + h01 * qb + h11 * vb;
-            *qd = va + s * (vb - va);
-        }
-        true
+        JointSequence { track: self, left: 0, q, qd }
     }
 
     /// Whether the interval after `row` is too long and a joint moved in it.
@@ -118,19 +88,43 @@ impl JointTrack {
     }
 }
 
-/// Interpolates the joint states of a track, fastest at ascending times.
+/// Interpolates the joint states of a track: O(1) per call in time order.
 #[derive(Clone, Debug)]
 pub struct JointSequence<'a> {
     track: &'a JointTrack,
-    cursor: usize,
+    /// Start of the last interval.
+    left: usize,
     q: Vec<f64>,
     qd: Vec<f64>,
 }
 
 impl JointSequence<'_> {
-    /// Positions and velocities, one per joint. `None` where [`JointTrack::at`] is false.
+    /// Positions (cubic Hermite) and velocities (linear), one per joint. The slope of the cubic would amplify
+    /// position noise. `None` outside the track and in gaps in which a joint moved: longer than 2 s, or than
+    /// 0.1 s and ten adjacent intervals.
+    ///
+    /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
     pub fn at(&mut self, t_s: f64) -> Option<(&[f64], &[f64])> {
-        self.track.at(t_s, &mut self.cursor, &mut self.q, &mut self.qd).then_some(self.last())
+        let JointTrack { t_s: times, dof, q, qd, .. } = self.track;
+        let left = bracket(times, t_s, &mut self.left)?;
+        let h = times[left + 1] - times[left];
+        if self.track.is_gap(left) && t_s != times[left] && t_s != times[left + 1] {
+            return None;
+        }
+        let s = (t_s - times[left]) / h;
+        let (s2, s3) = (s * s, s * s * s);
+        let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
+        let (h01, h11) = (3.0 * s2 - 2.0 * s3, s3 - s2);
+        let rows = left * dof..(left + 2) * dof;
+        let (qa, qb) = q[rows.clone()].split_at(*dof);
+        let (va, vb) = qd[rows].split_at(*dof);
+        let (h10, h11) = (h10 * h, h11 * h);
+        let ends = qa.iter().zip(qb).zip(va.iter().zip(vb));
+        for ((q, qd), ((qa, qb), (va, vb))) in self.q.iter_mut().zip(&mut self.qd).zip(ends) {
+            *q = h00 * qa + h10 * va + h01 * qb + h11 * vb;
+            *qd = va + s * (vb - va);
+        }
+        Some(self.last())
     }
 
     /// Positions and velocities at the last time with joint states; zeros before the first.
@@ -140,19 +134,19 @@ impl JointSequence<'_> {
 }
 
 /// `i` with `t[i] ≤ t_s ≤ t[i+1]`; `None` outside `t`.
-fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
+fn bracket(t: &[f64], t_s: f64, last_left: &mut usize) -> Option<usize> {
     let last = t.len().checked_sub(1)?;
     if last == 0 || !(t[0]..=t[last]).contains(&t_s) {
         return None;
     }
-    let mut left = (*cursor).min(last - 1);
+    let mut left = (*last_left).min(last - 1);
     if t[left] > t_s || t[(left + 8).min(last)] < t_s {
         left = t.partition_point(|&x| x <= t_s).saturating_sub(1).min(last - 1);
     }
     while t[left + 1] < t_s {
         left += 1;
     }
-    *cursor = left;
+    *last_left = left;
     Some(left)
 }
 
@@ -311,10 +305,10 @@ mod tests {
 
     #[test]
     fn a_cubic_is_interpolated_exactly_for_times_in_any_order() {
-        let (track, mut cursor) = (track(), 0);
+        let track = track();
+        let mut sequence = track.sequence();
         for t in [0.35, 0.0021, 0.2, 0.2, 0.38999, 0.01, 0.1234] {
-            let (mut q, mut qd) = ([0.0], [0.0]);
-            assert!(track.at(t, &mut cursor, &mut q, &mut qd));
+            let (q, qd) = sequence.at(t).expect("a covered time");
             assert!((q[0] - cubic(t).0).abs() < 1e-12 && (qd[0] - cubic(t).1).abs() < 1e-3);
         }
     }
@@ -325,13 +319,11 @@ mod tests {
             (0..20).map(|i| f64::from(i) * 0.01 + if i < 10 { 0.0 } else { 0.5 }).collect();
         let mut track =
             JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s, noise: Vec::new() };
-        let (mut q, mut qd) = ([0.0], [0.0]);
-        assert!(!track.at(0.3, &mut 0, &mut q, &mut qd));
-        assert!(track.at(0.09, &mut 0, &mut q, &mut qd) && track.at(0.6, &mut 0, &mut q, &mut qd));
+        assert!(track.sequence().at(0.3).is_none());
+        assert!([0.09, 0.6].iter().all(|t_s| track.sequence().at(*t_s).is_some()));
         track.q.fill(2.0);
         track.qd.fill(0.0);
-        assert!(track.at(0.3, &mut 0, &mut q, &mut qd));
-        assert_eq!((q, qd), ([2.0], [0.0]));
+        assert_eq!(track.sequence().at(0.3), Some(([2.0].as_slice(), [0.0].as_slice())));
     }
 
     #[test]
@@ -339,14 +331,15 @@ mod tests {
         let t_s: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.2).collect();
         let track =
             JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s, noise: Vec::new() };
-        assert!(track.at(0.3, &mut 0, &mut [0.0], &mut [0.0]));
+        assert!(track.sequence().at(0.3).is_some());
     }
 
     #[test]
     fn outside_the_span_there_is_no_value() {
-        let (track, mut cursor) = (track(), 7);
+        let track = track();
+        let mut sequence = JointSequence { left: 7, ..track.sequence() };
         for t in [-0.1, 0.0, 0.4, f64::NAN] {
-            assert!(!track.at(t, &mut cursor, &mut [0.0], &mut [0.0]));
+            assert!(sequence.at(t).is_none());
         }
     }
 }
