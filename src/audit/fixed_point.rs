@@ -8,7 +8,7 @@ use super::calibrate::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::tables::{MIN_ROWS, dropped_rows, joint_track, named_chain, numbers_suffice, row_times};
 use crate::checks::{is_point_moved, max_row_error_m};
 use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration, value_range};
-use crate::geometry::{Pose, Rotation, Vec3, pose};
+use crate::geometry::{Pose, Rotation, Vec3, mean_vector, pose};
 use crate::log::{self, NumberTable, Topic, read_number_table};
 use crate::report::Trouble;
 use crate::robot::{Chain, JointKind, Robot};
@@ -219,7 +219,7 @@ fn errors_at(chain: &Chain, track: &JointTrack, tip_xyz: Vec3) -> FixedPoint {
         tip.translation.vector + tip.rotation * tip_xyz
     };
     let points: Vec<Vec3> = (0..track.len()).step_by(2).map(point).collect();
-    let base_xyz = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    let base_xyz = mean_vector(&points);
     let errors = points.iter().map(|point| point - base_xyz).collect();
     FixedPoint { base_xyz, errors }
 }

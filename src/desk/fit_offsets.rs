@@ -2,8 +2,8 @@
 
 use super::reconciliation::MAX_AGREEING_RAD;
 use crate::geometry::{
-    Pose, Rotation, Vec3, angle_between, rotation_by_wahba, rotation_from_rotvec,
-    rotvec_from_rotation, xyz_of,
+    Pose, Rotation, angle_between, mean_vector, rotation_by_wahba, rotation_from_rotvec,
+    rotvec_from_rotation,
 };
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -33,10 +33,10 @@ fn mean_pose(poses: Vec<Pose>) -> Option<Pose> {
     }
     for _ in 0..5 {
         let away = |pose: &Pose| rotvec_from_rotation(&(rotation.inverse() * pose.rotation));
-        let mean = poses.iter().map(away).sum::<Vec3>() / poses.len() as f64;
+        let mean = mean_vector(poses.iter().map(away));
         rotation *= rotation_from_rotvec(mean);
     }
-    let xyz = poses.iter().map(|pose| Vec3::from(xyz_of(pose))).sum::<Vec3>() / poses.len() as f64;
+    let xyz = mean_vector(poses.iter().map(|pose| pose.translation.vector));
     Some(crate::geometry::pose(xyz.into(), rotation))
 }
 
@@ -103,7 +103,7 @@ fn sorted(mut values: [f64; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose;
+    use crate::geometry::{Vec3, pose};
     use proptest::prelude::*;
 
     fn poses() -> impl Strategy<Value = Vec<Pose>> {

@@ -21,7 +21,7 @@ use crate::diagnosis::{
     check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::geometry::Vec3;
+use crate::geometry::{Vec3, mean_vector};
 use crate::run::{
     Arm, CompetingModel, ImuSource, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions,
 };
@@ -178,7 +178,7 @@ impl ArmEvidence {
 
 /// Largest distance from the mean position.
 fn extent_m(xyz: &[Vec3]) -> f64 {
-    let mean = xyz.iter().sum::<Vec3>() / xyz.len().max(1) as f64;
+    let mean = mean_vector(xyz);
     xyz.iter().map(|xyz| (xyz - mean).norm()).fold(0.0, f64::max)
 }
 

@@ -2,7 +2,7 @@
 
 use crate::residuals::excess::rms;
 use crate::solver::robust::huber;
-use ground::geometry::Vec3;
+use ground::geometry::{Vec3, mean_vector};
 use ground::robot::Chain;
 use nalgebra::Matrix3;
 
@@ -73,9 +73,8 @@ impl FixedPoint {
     /// First configuration after a jump of the point, and its size, m. `None` unless one jump explains the errors.
     pub fn jump(&self) -> Option<(usize, f64)> {
         let count = self.errors.len();
-        let mean = |errors: &[Vec3]| errors.iter().sum::<Vec3>() / errors.len() as f64;
         let squares = |errors: &[Vec3]| {
-            let mean = mean(errors);
+            let mean = mean_vector(errors);
             errors.iter().map(|error| (error - mean).norm_squared()).sum::<f64>()
         };
         let best = (2..count.saturating_sub(1))
@@ -83,7 +82,7 @@ impl FixedPoint {
             .min_by(|a, b| a.1.total_cmp(&b.1))?;
         let is_jump = best.1 < (1.0 - MIN_JUMP_SHARE) * squares(&self.errors);
         let (before, after) = self.errors.split_at(best.0);
-        is_jump.then(|| (best.0, (mean(after) - mean(before)).norm()))
+        is_jump.then(|| (best.0, (mean_vector(after) - mean_vector(before)).norm()))
     }
 }
 

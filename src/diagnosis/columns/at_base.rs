@@ -2,7 +2,7 @@
 //! joints is enough.
 
 use super::{ColumnCandidate, JointColumns, MAX_TOOL_M, MappingConstraints, NumericTable};
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::robot::Chain;
 use rayon::prelude::*;
 
@@ -95,7 +95,7 @@ impl PositionColumns {
         if farthest > MAX_REACH_M {
             xyz.iter_mut().for_each(|xyz| *xyz *= 1e-3);
         }
-        let mean = xyz.iter().sum::<Vec3>() / xyz.len() as f64;
+        let mean = mean_vector(&xyz);
         let squares: Vec3 = xyz.iter().map(|xyz| (xyz - mean).map(|d| d * d)).sum();
         let extent = squares.sum();
         let moving = squares.iter().filter(|square| **square > 1e-4 * extent).count();

@@ -1,7 +1,7 @@
 //! Commands compared with motion.
 
 use super::line::CommandedLine;
-use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, mean_vector, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
 
 /// Difference between a command and the pose at rest.
@@ -47,7 +47,7 @@ impl RestErrorSpread {
             return None;
         }
         let max_deviation = |vectors: Vec<Vec3>| {
-            let mean = vectors.iter().sum::<Vec3>() / vectors.len() as f64;
+            let mean = mean_vector(&vectors);
             vectors.iter().map(|vector| (vector - mean).norm()).fold(0.0, f64::max)
         };
         let spread = |of: &dyn Fn(&RestError) -> Pose| {

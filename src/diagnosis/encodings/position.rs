@@ -10,7 +10,7 @@ use crate::frames::position_fit::spread;
 use crate::latency::correlation::{ArmSpeeds, LagPeak, MIN_SPEED_CORRELATION, stream_peaks};
 use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::{EstimateResult, NotObservable, PoseStream};
-use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
+use ground::geometry::{LengthScale, Pose, Vec3, angle_between, mean_vector};
 use ground::stats::mean;
 use ground::stream::{JointTrack, PoseTrack};
 use nalgebra::Matrix3;
@@ -163,7 +163,7 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3], reference_known: bool) -> [bo
 /// Rms distances from the mean along the principal axes.
 fn principal_spreads(points: &[Vec3]) -> [f64; 3] {
     let count = points.len().max(1) as f64;
-    let mean = points.iter().sum::<Vec3>() / count;
+    let mean = mean_vector(points);
     let square = |point: &Vec3| (point - mean) * (point - mean).transpose();
     let covariance = points.iter().map(square).sum::<Matrix3<f64>>() / count;
     covariance.symmetric_eigenvalues().map(|variance| variance.max(0.0).sqrt()).into()

@@ -10,8 +10,8 @@ use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
-    Axes, Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_rotvec,
-    rotvec_from_rotation,
+    Axes, Pose, Rotation, Vec3, angle_between, mean_vector, pose, rotation_by_wahba,
+    rotation_from_rotvec, rotvec_from_rotation,
 };
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -96,17 +96,12 @@ fn pose_pairs(
         .unzip()
 }
 
-fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
-    let n = points.len().max(1) as f64;
-    points.sum::<Vec3>() / n
-}
-
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let rotations: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
     let turn = mean_rotation(&rotations);
     let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
-    pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
+    pose(mean_vector(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
 /// Sets both frames of `state` to those determined by positions at its latency.
@@ -135,7 +130,8 @@ fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
 pub(crate) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
     let rotations: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
-    pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&rotations))
+    let xyz = mean_vector(tools.iter().map(|tool| tool.translation.vector));
+    pose(xyz.into(), mean_rotation(&rotations))
 }
 
 /// Same for a stream without a reference error. `None` if there are too few samples.

@@ -10,7 +10,7 @@ use crate::latency::correlation::ArmSpeeds;
 use crate::residuals::excess::rms;
 use crate::samples::sampling::FkSequence;
 use crate::solver::noise::Noise;
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::{Matrix2, Vector2};
@@ -119,7 +119,7 @@ fn lags(max_lag_s: f64) -> impl Iterator<Item = f64> {
 }
 
 fn subtract_mean(vectors: &mut [Vec3]) {
-    let mean = vectors.iter().sum::<Vec3>() / vectors.len().max(1) as f64;
+    let mean = mean_vector(&*vectors);
     vectors.iter_mut().for_each(|vector| *vector -= mean);
 }
 

@@ -2,7 +2,9 @@
 
 use crate::priors::MARKER_PRIOR_M;
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
-use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_by_wahba, rotation_from_rotvec};
+use ground::geometry::{
+    Pose, Rotation, Vec3, mean_vector, pose, rotation_by_wahba, rotation_from_rotvec,
+};
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
@@ -40,7 +42,7 @@ impl FkColumns {
     pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
         self.fit_rigid(xyz).unwrap_or_else(|| {
             let turn = rotation_by_wahba(&products(&self.xyz, xyz));
-            let reference = pose((mean(xyz) - turn * mean(&self.xyz)).into(), turn);
+            let reference = pose((mean_vector(xyz) - turn * mean_vector(&self.xyz)).into(), turn);
             (reference, self.tool(xyz, &reference))
         })
     }
@@ -73,7 +75,7 @@ impl FkColumns {
     }
 
     fn tool(&self, xyz: &[Vec3], reference: &Pose) -> Vec3 {
-        self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
+        mean_vector(self.offsets(xyz, reference))
     }
 
     /// Reference and tool offset with the smallest misfit, from the reference of Kabsch (1976) without a tool.
@@ -163,10 +165,6 @@ impl LeastSquares for PositionFit<'_> {
     }
 }
 
-fn mean(points: &[Vec3]) -> Vec3 {
-    points.iter().sum::<Vec3>() / points.len().max(1) as f64
-}
-
 /// Best rotation about the means, with a reflection if `sign` is −1. `None` if collinear.
 pub(crate) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
     let correlation = correlation(from, to)?;
@@ -177,7 +175,7 @@ pub(crate) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Ma
 
 /// `Σ to·fromᵀ` about the means.
 fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
-    let (centre, target) = (mean(from), mean(to));
+    let (centre, target) = (mean_vector(from), mean_vector(to));
     let both = from.iter().zip(to);
     both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
 }
@@ -193,7 +191,7 @@ fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
 
 /// Rms distance from the mean.
 pub(crate) fn spread(points: &[Vec3]) -> f64 {
-    let mean = mean(points);
+    let mean = mean_vector(points);
     let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
     (squares / points.len().max(1) as f64).sqrt()
 }

@@ -3,7 +3,7 @@
 
 use super::{ImuStream, Link, MIN_FIT_SAMPLES, followed_lag_s, rms};
 use crate::UnitResiduals;
-use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
+use ground::geometry::{Rotation, Vec3, angle_between, mean_vector, rotation_by_wahba};
 use ground::stats::{median, quantile};
 use ground::stream::{ImuTrack, JointTrack};
 use nalgebra::Matrix3;
@@ -185,9 +185,8 @@ pub(super) struct Alignment {
 
 impl Alignment {
     pub fn fit(pairs: &[RatePair]) -> Self {
-        let n = pairs.len().max(1) as f64;
-        let mean = pairs.iter().map(|(_, gyro, _)| gyro).sum::<Vec3>() / n;
-        let mean_rate = pairs.iter().map(|(_, _, rate)| rate).sum::<Vec3>() / n;
+        let mean = mean_vector(pairs.iter().map(|(_, gyro, _)| gyro));
+        let mean_rate = mean_vector(pairs.iter().map(|(_, _, rate)| rate));
         let products =
             pairs.iter().map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose());
         let correlation: Matrix3<f64> = products.sum();

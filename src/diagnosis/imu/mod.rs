@@ -38,7 +38,7 @@ pub use estimates::{
 };
 pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
-use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
+use ground::geometry::{Rotation, Vec3, angle_between, mean_vector, rotation_by_wahba};
 use ground::stats::mean;
 use ground::stream::{ImuTrack, JointSequence, JointTrack, sample_noise};
 use nalgebra::Matrix3;
@@ -420,7 +420,7 @@ impl<'a> Link<'a> {
         let rotation_rad = self.rotation_rms_rad(delay);
         let blocks = residuals.chunks(residuals.len().div_ceil(BLOCKS).max(1));
         let residual_rad = rms(blocks.flat_map(|block| {
-            let mean = block.iter().sum::<Vec3>() / block.len() as f64;
+            let mean = mean_vector(block);
             block.iter().map(move |residual| (residual - mean).norm())
         }));
         if rotation_rad > MIN_ROTATION_RAD {

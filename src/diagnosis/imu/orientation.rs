@@ -24,7 +24,7 @@ use crate::solver::linear::Linear;
 use crate::{
     EncodingEstimate, EstimateResult, HeadingPair, Measured, NotObservable, YawJump, YawProfile,
 };
-use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3, mean_vector, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use nalgebra::{DVector, Matrix3};
 use std::f64::consts::{PI, TAU};
@@ -223,7 +223,7 @@ impl OrientationModel<'_> {
         let length = solved.mount_error(Self::MOUNT, error.as_slice())?;
         let turned: Vec<Vec3> =
             self.states().map(|(.., state)| state.rotation * error_in_link).collect();
-        let mean = turned.iter().sum::<Vec3>() / turned.len().max(1) as f64;
+        let mean = mean_vector(&turned);
         let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
         let is_hidden = length.norm.value > MAX_EXPLAINED_RAD && effect_rad < MAX_EXPLAINED_RAD;
         match length.p_value < MOUNT_SIGNIFICANCE && is_hidden {

@@ -4,7 +4,7 @@ use super::estimates::UpDirections;
 use super::{BLOCKS, Link, LinkState};
 use crate::samples::sampling::check_sample_count;
 use crate::{EstimateResult, NotObservable};
-use ground::geometry::{Rotation, Vec3};
+use ground::geometry::{Rotation, Vec3, mean_vector};
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
@@ -84,14 +84,13 @@ pub(super) fn up([in_world, in_base]: &[Vec<Vec3>; 2]) -> Option<UpDirections> {
 pub(super) fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
     check_sample_count(n, MIN_SAMPLES)?;
-    let mean = forces.iter().sum::<Vec3>() / n as f64;
+    let mean = mean_vector(forces);
     let gravity = mean.norm();
     if gravity < 1.0 {
         return Err(NotObservable::RestsOn("the direction of gravity"));
     }
     let blocks = forces.chunks_exact(n / BLOCKS).take(BLOCKS);
-    let blocks = blocks.map(|block| block.iter().sum::<Vec3>());
-    let off = |sum: Vec3| (sum / (n / BLOCKS) as f64 - mean).xy().norm_squared();
+    let off = |block: &[Vec3]| (mean_vector(block) - mean).xy().norm_squared();
     let degrees = 2.0 * (BLOCKS as f64 - 1.0);
     let variance = blocks.map(off).sum::<f64>() / degrees / BLOCKS as f64 / gravity.powi(2);
     let sideways = mean.xy().norm();

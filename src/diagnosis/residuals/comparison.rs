@@ -8,7 +8,7 @@ use crate::solver::noise::Noise;
 use crate::{
     AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
 };
-use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::geometry::{Vec3, mean_vector, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::Point3;
 
@@ -103,7 +103,7 @@ pub(crate) fn minus_segment_means(residuals: &[[f64; 3]]) -> Vec<[f64; 3]> {
 }
 
 fn mean(vectors: &[[f64; 3]]) -> Vec3 {
-    vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
+    mean_vector(vectors.iter().map(|v| Vec3::from(*v)))
 }
 
 /// Position, m, and rotation, rad, at the measured point. At the tip, a rotation error of a distant marker becomes a

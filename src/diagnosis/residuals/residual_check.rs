@@ -13,7 +13,7 @@ use crate::model::observability::travel;
 use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Vec3, pose};
+use ground::geometry::{Pose, Vec3, mean_vector, pose};
 use ground::stats::median;
 use ground::stream::{JointTrack, Orientations};
 
@@ -291,8 +291,7 @@ impl<'a> ErrorSeries<'a> {
     /// Mean tip position over samples with at least the error `max_size`.
     fn location_of_largest(&self, error: &[Vec3], rows: &[usize], max_size: f64) -> Vec3 {
         let large = rows.iter().filter(|&&row| error[row].norm() >= max_size);
-        let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
-        places.iter().sum::<Vec3>() / places.len().max(1) as f64
+        mean_vector(large.map(|&row| self.fk[row].translation.vector))
     }
 
     fn magnitude(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
@@ -373,7 +372,7 @@ fn squared_distance(a: &TipPoints, b: &TipPoints) -> f64 {
 fn variance(points: &[TipPoints]) -> f64 {
     let n = points.len().max(1) as f64;
     let mean: TipPoints =
-        std::array::from_fn(|of| points.iter().map(|points| points[of]).sum::<Vec3>() / n);
+        std::array::from_fn(|of| mean_vector(points.iter().map(|points| points[of])));
     points.iter().map(|points| squared_distance(points, &mean)).sum::<f64>() / n
 }
 

@@ -18,6 +18,8 @@ mod rotation_encoding;
 mod units;
 pub mod vendors;
 
+use std::borrow::Borrow;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 pub use axes::Axes;
@@ -52,6 +54,17 @@ pub fn pose(xyz: [f64; 3], rotation: Rotation) -> Pose {
 /// Translation, m.
 pub fn xyz_of(pose: &Pose) -> [f64; 3] {
     pose.translation.vector.into()
+}
+
+/// 0 without vectors.
+pub fn mean_vector(vectors: impl IntoIterator<Item = impl Borrow<Vec3>>) -> Vec3 {
+    let (mut sum, mut count) = (Vec3::zeros(), 0_usize);
+    for vector in vectors {
+        let vector: &Vec3 = vector.borrow();
+        sum += vector;
+        count += 1;
+    }
+    sum / count.max(1) as f64
 }
 
 /// Between two poses, linear in position and rotation angle; `part` is 0 to 1.
