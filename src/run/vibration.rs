@@ -44,9 +44,7 @@ fn recorded_track(arm: &Arm, samples: &[JointSamples<'_>]) -> Option<JointTrack>
             rows.peek().filter(|(own_s, _)| *own_s == t_s).map(|(_, position)| **position)
         };
         let q: Vec<f64> = t_s.iter().map(at).collect::<Option<_>>()?;
-        let is_smoothed =
-            q.iter().enumerate().any(|(row, q)| *q != smoothed.q[row * smoothed.dof + column]);
-        if !is_smoothed {
+        if q.iter().copied().eq(smoothed.positions_of(column)) {
             continue;
         }
         let rounding = encoder_step(&q) / 12f64.sqrt();

@@ -59,8 +59,7 @@ pub fn estimate_joint_delays(
         let commanded = t_s.iter().zip(q.iter().skip(at).step_by(width));
         let (t_s, commanded): (Vec<f64>, Vec<f64>) =
             commanded.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
-        let measured: Vec<f64> =
-            joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
+        let measured: Vec<f64> = joints.positions_of(column).collect();
         let period_s = median_period_s(&t_s);
         let paths = [&commanded, &measured].map(Clone::clone);
         let commanded = TimeSeries::new(t_s, vec![commanded]);

@@ -53,7 +53,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     let half = ((HALF_WINDOW_S / period_s.max(1e-6)).round() as usize).max(1);
     let mut still = vec![true; rows];
     for joint in 0..dof {
-        let q: Vec<f64> = joints.q.iter().skip(joint).step_by(dof).copied().collect();
+        let q: Vec<f64> = joints.positions_of(joint).collect();
         let before = cumulative(q.iter().copied());
         let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
         let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();

@@ -16,7 +16,7 @@ use crate::{
     ArmDiagnosis, JointCoupling, JointEncoding, JointUnit, JointUnitError, PoseDiagnosis,
     UnitResiduals,
 };
-use ground::stats::Measured;
+use ground::stats::{Measured, mean};
 
 /// Position error of a joint per position of joint `by`. Columns of the joint track.
 #[derive(Clone, Copy)]
@@ -52,7 +52,7 @@ impl ArmRun<'_> {
         let samples = run.samples(diagnosis);
         let gains = run.possible_gains();
         let middles: Vec<f64> =
-            (0..joints.dof).map(|column| middle(&joints.q, column, joints.dof)).collect();
+            (0..joints.dof).map(|column| mean(joints.positions_of(column))).collect();
         let coefficient = |gain: &Gain| {
             let from_middle = |q: &Vec<f64>| q[gain.by] - middles[gain.by];
             let profiles =
@@ -103,11 +103,6 @@ impl Gain {
 fn rms_m(streams: &[PoseDiagnosis]) -> f64 {
     let residuals = streams.iter().filter_map(|stream| stream.residual.as_ref().ok());
     residuals.map(|residual| residual.rms_m).fold(0.0, f64::max)
-}
-
-fn middle(q: &[f64], column: usize, dof: usize) -> f64 {
-    let positions = || q.iter().skip(column).step_by(dof.max(1));
-    positions().sum::<f64>() / positions().count().max(1) as f64
 }
 
 #[cfg(test)]

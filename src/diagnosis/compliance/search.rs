@@ -55,8 +55,8 @@ impl<'a> ComplianceSearch<'a> {
         for own in torques.iter().flatten() {
             max_torque.iter_mut().zip(own).for_each(|(max, own)| *max = max.max(own.abs()));
         }
-        let speeds_of = |column: usize| run.joints.qd.iter().skip(column).step_by(run.joints.dof);
-        let fastest = |column| speeds_of(column).fold(0.0, |max: f64, own| max.max(own.abs()));
+        let fastest =
+            |column| run.joints.velocities_of(column).fold(0.0, |max: f64, own| max.max(own.abs()));
         let max_speed = (0..run.joints.dof).map(fastest).collect();
         Some(Self { run, samples, gravity, max_torque, max_speed, torques })
     }

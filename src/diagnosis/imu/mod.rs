@@ -277,7 +277,7 @@ fn joint_noise(joints: &JointTrack, column: usize, rest_speeds: &[f64]) -> [f64;
     if let Some(noise) = joints.noise.get(column) {
         return noise.map(|sigma| sigma * sigma);
     }
-    let q: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof.max(1)).copied().collect();
+    let q: Vec<f64> = joints.positions_of(column).collect();
     [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
 }
 

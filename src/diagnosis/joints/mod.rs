@@ -332,8 +332,7 @@ fn views<'a>(
     stream: &PoseStream<'a>,
     samples: &SimultaneousSamples,
 ) -> Vec<InterpretedPoses<'a>> {
-    let span =
-        |&column: &usize| range_of(joints.q.iter().skip(column).step_by(joints.dof).copied());
+    let span = |&column: &usize| range_of(joints.positions_of(column));
     let (spans, xyz) = (stream.columns.iter().map(span).collect(), samples.xyz.clone());
     let positions = InterpretedPoses::new(stream.chain, xyz, None, samples.q.clone(), spans);
     let mut views = Vec::new();

@@ -21,9 +21,8 @@ pub(super) struct SimultaneousSamples {
 
 /// Bounded below to allow division.
 pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
-    let squares =
-        |joint: usize| joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed);
-    (0..joints.dof).map(|joint| mean(squares(joint)).sqrt().max(1e-4)).collect()
+    let square = |joint: usize| mean(joints.velocities_of(joint).map(|speed| speed * speed));
+    (0..joints.dof).map(|joint| square(joint).sqrt().max(1e-4)).collect()
 }
 
 /// Spread over the run, see [`slow_rows`].

@@ -198,7 +198,7 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
 }
 
 pub(crate) fn travel(joints: &JointTrack, joint: usize) -> f64 {
-    value_range(joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied()).max(0.0)
+    value_range(joints.positions_of(joint)).max(0.0)
 }
 
 /// Random configurations over the joints' ranges, at speeds of both signs.

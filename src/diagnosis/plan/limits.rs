@@ -58,14 +58,11 @@ fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f
 
 /// Range per joint.
 pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
-    let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
-        values.iter().skip(joint).step_by(motion.dof).copied().collect()
-    };
     let most = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |a: f64, b| a.max(b.abs()));
     let extent = |joint: usize| {
-        let [low, high] = range_of(column(&motion.q, joint));
+        let [low, high] = range_of(motion.positions_of(joint));
         let speeds = rates(motion, joint).map(|rate| rate.1);
-        let speed = most(&mut column(&motion.qd, joint).into_iter().chain(speeds));
+        let speed = most(&mut motion.velocities_of(joint).chain(speeds));
         let acceleration = most(&mut rates(motion, joint).map(|rate| rate.2));
         JointRange { low, high, speed, acceleration }
     };
@@ -92,10 +89,7 @@ pub fn limit_violations(
                 found.push(LimitViolation { joint, bound, t_s, value, limit });
             }
         };
-        let positions = || {
-            let rows = motion.t_s.iter().copied().enumerate();
-            rows.map(move |(row, t_s)| (t_s, motion.q[row * motion.dof + joint]))
-        };
+        let positions = || motion.t_s.iter().copied().zip(motion.positions_of(joint));
         if let Some(lower) = limits.lower {
             let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - ROUNDING_TOLERANCE);
             hold(LimitKind::Lower, lower, positions().map(over).collect());
@@ -105,10 +99,9 @@ pub fn limit_violations(
             hold(LimitKind::Upper, upper, positions().map(over).collect());
         }
         let most = speed[joint];
-        let logged = (0..motion.len()).map(|row| {
-            let speed = motion.qd[row * motion.dof + joint];
-            (motion.t_s[row], speed, speed.abs() - most * (1.0 + ROUNDING_TOLERANCE))
-        });
+        let logged = motion.t_s.iter().zip(motion.velocities_of(joint));
+        let logged = logged
+            .map(|(t_s, speed)| (*t_s, speed, speed.abs() - most * (1.0 + ROUNDING_TOLERANCE)));
         let between = rates(motion, joint)
             .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCE_TOLERANCE)));
         hold(LimitKind::Speed, most, logged.chain(between).collect());

@@ -43,6 +43,16 @@ impl JointTrack {
         &self.q[row * self.dof..(row + 1) * self.dof]
     }
 
+    /// Positions of one joint.
+    pub fn positions_of(&self, joint: usize) -> impl Iterator<Item = f64> {
+        self.q.iter().skip(joint).step_by(self.dof.max(1)).copied()
+    }
+
+    /// Velocities of one joint.
+    pub fn velocities_of(&self, joint: usize) -> impl Iterator<Item = f64> {
+        self.qd.iter().skip(joint).step_by(self.dof.max(1)).copied()
+    }
+
     /// Keeps the first `rows`.
     pub fn truncate(&mut self, rows: usize) {
         self.t_s.truncate(rows);

@@ -96,8 +96,7 @@ fn draw_joints(writer: &TimelineWriter, arm: &ReplayArm<'_>) -> Result<(), Repla
             width: 1.5,
             factor: if unit == "mm" { 1e3 } else { 1f64.to_degrees() },
         };
-        let positions = arm.corrected.q.iter().skip(column).step_by(arm.corrected.dof.max(1));
-        let positions: Vec<f64> = positions.copied().collect();
+        let positions: Vec<f64> = arm.corrected.positions_of(column).collect();
         series.draw(writer, arm, &arm.received, &stamps, &positions)?;
     }
     Ok(())
