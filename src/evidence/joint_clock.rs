@@ -170,16 +170,8 @@ fn jump_at_s(joints: &JointTrack, step: &LatencyStep) -> Option<f64> {
 /// Subtracts the latency in `profile` from the stamps of joint states, and drops rows that are then out of order.
 fn with_true_stamps(joints: &JointTrack, profile: &LatencyProfile) -> JointTrack {
     let rows = rows_in_true_order(&joints.t_s, profile);
-    let values = |all: &[f64]| {
-        let rows = rows.iter().flat_map(|(row, _)| &all[row * joints.dof..(row + 1) * joints.dof]);
-        rows.copied().collect()
-    };
-    JointTrack {
-        t_s: rows.iter().map(|(_, t_s)| *t_s).collect(),
-        q: values(&joints.q),
-        qd: values(&joints.qd),
-        ..joints.clone()
-    }
+    let t_s = rows.iter().map(|(_, t_s)| *t_s).collect();
+    JointTrack { t_s, ..joints.at_rows(rows.iter().map(|(row, _)| *row)) }
 }
 
 /// The same for the samples of one joint.

@@ -68,8 +68,7 @@ fn follows(source: &PoseSource, track: &JointTrack, other: &JointTrack) -> bool 
     const MIN_ROWS: usize = 20;
     let Orientations::Rotations(rotations) = &source.track.orientation else { return false };
     let fk = |track: &JointTrack, row: usize| -> Rotation {
-        let positions = &track.q[row * track.dof..(row + 1) * track.dof];
-        let q: Vec<f64> = source.columns.iter().map(|&column| positions[column]).collect();
+        let q: Vec<f64> = source.columns.iter().map(|&column| track.row(row)[column]).collect();
         source.chain.forward(&q).rotation
     };
     let rows = source.track.t_s.iter().enumerate().filter_map(|(pose, t_s)| {

@@ -25,8 +25,7 @@ pub fn write_csv(arm: &PlannedArm, motion: &JointTrack, out: &mut dyn Write) -> 
     let header = std::iter::once("t_s".to_owned()).chain(names.iter().cloned()).chain(speeds);
     writer.write_record(header)?;
     for row in 0..motion.len() {
-        let columns = row * motion.dof..(row + 1) * motion.dof;
-        let numbers = motion.q[columns.clone()].iter().chain(&motion.qd[columns]);
+        let numbers = motion.row(row).iter().chain(motion.velocities(row));
         let time = std::iter::once(format!("{:.6}", motion.t_s[row]));
         writer.write_record(time.chain(numbers.map(|number| format!("{:.9}", number + 0.0))))?;
     }

@@ -474,7 +474,7 @@ impl RecordedJumps {
         const ROUNDING_RAD: f64 = 1e-6;
         let joints = run.joints;
         let tick = |column: usize| {
-            let q = |row: usize| joints.q[row * joints.dof + column];
+            let q = |row: usize| joints.row(row)[column];
             let distance = |a: usize, b: usize| (q(a) - q(b)).abs();
             encoder_tick(joints.len(), distance, ROUNDING_RAD).unwrap_or(0.0)
         };

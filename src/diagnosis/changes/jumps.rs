@@ -53,7 +53,7 @@ pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
     const MIN_JUMP: f64 = 1e-3;
     let rows = joints.len();
     let gap_s = min_gap_s(&joints.t_s);
-    let q = |row: usize, column: usize| joints.q[row * joints.dof + column];
+    let q = |row: usize, column: usize| joints.row(row)[column];
     let of_joint = |column: usize| {
         let step = |row: usize| q(row, column) - q(row - 1, column);
         let deviation_from_neighbours =

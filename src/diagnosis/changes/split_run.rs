@@ -61,22 +61,15 @@ impl SplitRun<'_> {
     }
 
     pub fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
-        let JointTrack { t_s, dof, q, qd, noise } = self.arm.joints;
-        let rows = rows_within(t_s, from_s, to_s);
-        let values = rows.start * dof..rows.end * dof;
-        let mut segment = JointTrack {
-            t_s: t_s[rows.clone()].to_vec(),
-            dof: *dof,
-            q: q[values.clone()].to_vec(),
-            qd: qd[values].to_vec(),
-            noise: noise.clone(),
-        };
-        let last = segment.t_s.len().saturating_sub(1);
-        (0..*dof).for_each(|column| {
+        let joints = self.arm.joints;
+        let rows = rows_within(&joints.t_s, from_s, to_s);
+        let mut segment = joints.at_rows(rows.clone());
+        let last = segment.len().saturating_sub(1);
+        (0..joints.dof).for_each(|column| {
             if rows.start > 0 {
                 set_velocity(&mut segment, column, 0, 1);
             }
-            if rows.end < t_s.len() {
+            if rows.end < joints.len() {
                 set_velocity(&mut segment, column, last, last.saturating_sub(1));
             }
         });

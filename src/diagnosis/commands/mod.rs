@@ -362,8 +362,7 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
     let period_s = median_period_s(&series.t_s);
     let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
     for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
-        let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
-        if speeds.iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
+        if joints.velocities(row).iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
             continue;
         }
         let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };

@@ -129,7 +129,7 @@ impl<'a> ComplianceSearch<'a> {
                     0.0 => INITIAL_BACKLASH_RAD,
                     width => width,
                 };
-                let q = |row: usize| joints.q[row * joints.dof + column];
+                let q = |row: usize| joints.row(row)[column];
                 crossing.link_offsets(joints.len(), q, width)
             }
             _ => Vec::new(),

@@ -72,7 +72,7 @@ impl ArmSpeeds {
             };
             t_s.push(joints.t_s[row]);
             for ((q, qd), &column) in q.iter_mut().zip(&mut qd).zip(columns) {
-                (*q, *qd) = (joints.row(row)[column], joints.qd[row * joints.dof + column]);
+                (*q, *qd) = (joints.row(row)[column], joints.velocities(row)[column]);
             }
             let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
             let tip = base_from_tip.translation.vector;

@@ -47,13 +47,11 @@ impl LateJoints {
 
 /// Joints with those in `columns` shifted to the times of the others.
 pub fn with_earlier_joints(joints: &JointTrack, columns: &[usize], late_s: f64) -> JointTrack {
-    let dof = joints.dof;
     let mut moved = JointTrack { t_s: Vec::new(), q: Vec::new(), qd: Vec::new(), ..joints.clone() };
     let mut sequence = joints.sequence();
     for (row, t_s) in joints.t_s.iter().enumerate() {
         let Some((q, qd)) = sequence.at(t_s + late_s) else { continue };
-        let own = row * dof..(row + 1) * dof;
-        let (mut row_q, mut row_qd) = (joints.q[own.clone()].to_vec(), joints.qd[own].to_vec());
+        let (mut row_q, mut row_qd) = (joints.row(row).to_vec(), joints.velocities(row).to_vec());
         for &column in columns {
             (row_q[column], row_qd[column]) = (q[column], qd[column]);
         }

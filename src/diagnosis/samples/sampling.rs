@@ -142,7 +142,7 @@ pub(crate) const REST_SIGMAS: f64 = 5.0;
 pub(crate) fn rest_speeds(joints: &JointTrack) -> Vec<f64> {
     const MAX_SAMPLES: usize = 20_000;
     let stride = joints.len().div_ceil(MAX_SAMPLES).max(1);
-    let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
+    let speed = |row: usize, joint: usize| joints.velocities(row)[joint];
     (0..joints.dof)
         .map(|j| {
             let middles = (1..joints.len().saturating_sub(1)).step_by(stride);

@@ -43,6 +43,22 @@ impl JointTrack {
         &self.q[row * self.dof..(row + 1) * self.dof]
     }
 
+    /// Velocities at `row`.
+    pub fn velocities(&self, row: usize) -> &[f64] {
+        &self.qd[row * self.dof..(row + 1) * self.dof]
+    }
+
+    /// The samples at these rows.
+    pub fn at_rows(&self, rows: impl Iterator<Item = usize> + Clone) -> Self {
+        Self {
+            t_s: rows.clone().map(|row| self.t_s[row]).collect(),
+            dof: self.dof,
+            q: rows.clone().flat_map(|row| self.row(row)).copied().collect(),
+            qd: rows.flat_map(|row| self.velocities(row)).copied().collect(),
+            noise: self.noise.clone(),
+        }
+    }
+
     /// Positions of one joint.
     pub fn positions_of(&self, joint: usize) -> impl Iterator<Item = f64> {
         self.q.iter().skip(joint).step_by(self.dof.max(1)).copied()
