@@ -1,5 +1,3 @@
-use crate::time::Clock;
-
 use super::column::Column;
 use super::times::{SharedTimes, Times, permute};
 
@@ -262,14 +260,6 @@ impl JointColumns {
             joint.velocity.select(rows);
         }
     }
-
-    /// Sorts the rows by `clock`.
-    pub fn sort_by(&mut self, clock: Clock) {
-        let Some(order) = self.times.sort_permutation(clock) else {
-            return;
-        };
-        self.select(&order);
-    }
 }
 
 impl PoseColumns {
@@ -277,14 +267,6 @@ impl PoseColumns {
         self.times.permute(rows);
         self.xyz.select(rows);
         self.q_xyzw.select(rows);
-    }
-
-    /// Sorts the rows by `clock`.
-    pub fn sort_by(&mut self, clock: Clock) {
-        let Some(order) = self.times.sort_permutation(clock) else {
-            return;
-        };
-        self.select(&order);
     }
 }
 
@@ -294,14 +276,6 @@ impl ImuColumns {
         self.q_xyzw.select(rows);
         self.gyro.select(rows);
         self.accel.select(rows);
-    }
-
-    /// Sorts the rows by `clock`.
-    pub fn sort_by(&mut self, clock: Clock) {
-        let Some(order) = self.times.sort_permutation(clock) else {
-            return;
-        };
-        self.select(&order);
     }
 }
 
@@ -315,14 +289,6 @@ impl ArrayColumns {
         self.times.permute(rows);
         self.values = rows.iter().flat_map(|&row| self.row(row).to_vec()).collect();
     }
-
-    /// Sorts the rows by `clock`.
-    pub fn sort_by(&mut self, clock: Clock) {
-        let Some(order) = self.times.sort_permutation(clock) else {
-            return;
-        };
-        self.select(&order);
-    }
 }
 
 #[cfg(test)]
@@ -330,14 +296,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sorting_moves_whole_rows() {
+    fn selecting_moves_whole_rows() {
         let mut poses = PoseColumns::default();
         for (stamp, x) in [(30, 3.0), (10, 1.0), (20, 2.0)] {
             poses.times.push(stamp, 100 - stamp, 0);
             poses.xyz.push([x, 0.0, 0.0]);
             poses.q_xyzw.push([0.0, 0.0, 0.0, 1.0]);
         }
-        poses.sort_by(Clock::Header);
+        poses.select(&[1, 2, 0]);
         assert_eq!(poses.times.header, [10, 20, 30]);
         assert_eq!(poses.times.log, [90, 80, 70]);
         let x: Vec<f64> = poses.xyz.iter().map(|xyz| xyz[0]).collect();

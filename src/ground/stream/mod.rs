@@ -1,7 +1,6 @@
 //! Columns of one topic, filled by decoders and read by all later stages.
 //!
-//! Decoders append rows as they arrive; the `sort_by` methods then sort them by the audit's clock.
-//! Rotations stay as logged (`_xyzw`, raw arrays).
+//! Decoders append rows as they arrive. Rotations stay as logged (`_xyzw`, raw arrays).
 
 mod column;
 mod columns;

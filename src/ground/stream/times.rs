@@ -72,17 +72,6 @@ impl Times {
         }
     }
 
-    /// Stable sort order by `clock`; `None` if already sorted.
-    pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
-        let column = self.nanos_on(clock);
-        if column.is_sorted() {
-            return None;
-        }
-        let mut order: Vec<usize> = (0..column.len()).collect();
-        order.sort_by_key(|&row| column[row]);
-        Some(order)
-    }
-
     /// Subtracts `lateness` (ns), a function of the nanoseconds since the first time on the same clock.
     /// Unset headers stay unset.
     pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
