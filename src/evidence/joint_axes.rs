@@ -30,8 +30,7 @@ impl JointAxes {
         if joints.is_empty() {
             return Self::default();
         }
-        let row = joints.row(joints.len() / 2);
-        let q: Vec<f64> = columns.iter().map(|&column| row[column]).collect();
+        let q = joints.positions_at(joints.len() / 2, columns);
         let mut frames = Vec::new();
         chain.joint_frames(&q, &mut frames);
         let kinds = chain.joint_kinds().iter();

@@ -90,8 +90,7 @@ fn encoder_noise_m(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) 
     let mut jacobian = vec![[0.0; 6]; arm.columns.len()];
     let rows = (0..track.len()).step_by((track.len() / MAX_CONFIGURATIONS).max(1));
     let squares = rows.map(|row| {
-        let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
-        arm.chain.forward_with_jacobian(&q, &mut jacobian);
+        arm.chain.forward_with_jacobian(&track.positions_at(row, &arm.columns), &mut jacobian);
         let of_joint = |(column, step): (&[f64; 6], &f64)| {
             // Uniform error of ± half a step.
             (column[0].powi(2) + column[1].powi(2) + column[2].powi(2)) * step * step / 12.0

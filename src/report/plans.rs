@@ -157,8 +157,7 @@ fn start_configuration(joints: &JointTrack, columns: &[usize], chain: &Chain) ->
         columns.iter().zip(&middle).map(|(&at, middle)| (row[at] - middle).powi(2)).sum()
     };
     let nearest = rows().min_by(|&a, &b| off(a).total_cmp(&off(b)))?;
-    let q: Vec<f64> = columns.iter().map(|&at| joints.row(nearest)[at]).collect();
-    unwrap_into_limits(chain, q)
+    unwrap_into_limits(chain, joints.positions_at(nearest, columns))
 }
 
 fn unwrap_into_limits(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {

@@ -149,15 +149,14 @@ impl<'a> JointRows<'a> {
 
     /// Time in s from the run's origin, and the chain's joints.
     fn time_and_positions(&self, row: usize) -> (f64, Vec<f64>) {
-        let columns = self.arm.columns.iter();
         match &self.t_s {
             Some(t_s) => {
                 let position = |&column: &usize| self.samples[column].position[row];
-                (t_s[row], columns.map(position).collect())
+                (t_s[row], self.arm.columns.iter().map(position).collect())
             }
             None => {
-                let q = self.arm.joints.row(row);
-                (self.arm.joints.t_s[row], columns.map(|&column| q[column]).collect())
+                let joints = &self.arm.joints;
+                (joints.t_s[row], joints.positions_at(row, &self.arm.columns))
             }
         }
     }

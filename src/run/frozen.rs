@@ -173,10 +173,7 @@ impl PoseSource {
     /// Poses of its link by FK at some of these rows.
     pub(super) fn fk_poses(&self, joints: &JointTrack, rows: Range<usize>) -> Vec<Pose> {
         const MAX_POSES: usize = 64;
-        let pose = |row: usize| {
-            let q: Vec<f64> = self.columns.iter().map(|&column| joints.row(row)[column]).collect();
-            self.chain.forward(&q)
-        };
+        let pose = |row: usize| self.chain.forward(&joints.positions_at(row, &self.columns));
         let stride = rows.len().div_ceil(MAX_POSES).max(1);
         rows.step_by(stride).map(pose).collect()
     }

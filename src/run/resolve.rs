@@ -216,11 +216,7 @@ fn arm_lead_s(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
     const MAX_COMPARED_SAMPLES: usize = 20_000;
     let rows =
         || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MAX_COMPARED_SAMPLES).max(1));
-    let poses = rows().map(|row| {
-        let positions = arm.joints.row(row);
-        let q: Vec<f64> = arm.columns.iter().map(|&column| positions[column]).collect();
-        arm.chain.forward(&q)
-    });
+    let poses = rows().map(|row| arm.chain.forward(&arm.joints.positions_at(row, &arm.columns)));
     let (xyz, rotations) = poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
     let track = PoseTrack {
         t_s: rows().map(|row| arm.joints.t_s[row]).collect(),

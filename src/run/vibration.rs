@@ -68,8 +68,7 @@ fn follows(source: &PoseSource, track: &JointTrack, other: &JointTrack) -> bool 
     const MIN_ROWS: usize = 20;
     let Orientations::Rotations(rotations) = &source.track.orientation else { return false };
     let fk = |track: &JointTrack, row: usize| -> Rotation {
-        let q: Vec<f64> = source.columns.iter().map(|&column| track.row(row)[column]).collect();
-        source.chain.forward(&q).rotation
+        source.chain.forward(&track.positions_at(row, &source.columns)).rotation
     };
     let rows = source.track.t_s.iter().enumerate().filter_map(|(pose, t_s)| {
         let row = track.t_s.partition_point(|own_s| own_s < t_s);

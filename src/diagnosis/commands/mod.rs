@@ -366,8 +366,7 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
             continue;
         }
         let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
-        let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
-        let measured = chain.forward(&q);
+        let measured = chain.forward(&joints.positions_at(row, columns));
         metres += (commanded.translation.vector - measured.translation.vector).norm_squared();
         radians += angle_between(&commanded.rotation, &measured.rotation).powi(2);
         count += 1.0;

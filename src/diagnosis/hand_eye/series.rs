@@ -31,10 +31,8 @@ impl PoseSeries {
         const PERIOD_S: f64 = 0.01;
         let period_s = median_period_s(&joints.t_s).max(1e-6);
         let step = ((PERIOD_S / period_s) as usize).max(1);
-        let sample = |row: usize| {
-            let q: Vec<f64> = columns.iter().map(|&column| joints.row(row)[column]).collect();
-            (joints.t_s[row], chain.forward(&q))
-        };
+        let sample =
+            |row: usize| (joints.t_s[row], chain.forward(&joints.positions_at(row, columns)));
         let (t_s, poses) = (0..joints.len()).step_by(step).map(sample).unzip();
         Self { t_s, poses }
     }

@@ -43,6 +43,11 @@ impl JointTrack {
         &self.q[row * self.dof..(row + 1) * self.dof]
     }
 
+    /// Positions of some joints at `row`.
+    pub fn positions_at(&self, row: usize, joints: &[usize]) -> Vec<f64> {
+        joints.iter().map(|&joint| self.row(row)[joint]).collect()
+    }
+
     /// Velocities at `row`.
     pub fn velocities(&self, row: usize) -> &[f64] {
         &self.qd[row * self.dof..(row + 1) * self.dof]

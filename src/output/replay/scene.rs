@@ -32,8 +32,7 @@ pub(super) fn drawn_rows(joints: &JointTrack) -> Vec<usize> {
 }
 
 pub(super) fn positions(arm: &ReplayArm<'_>, joints: &JointTrack, row: usize) -> Vec<f64> {
-    let all = joints.row(row);
-    arm.columns.iter().map(|&column| all[column]).collect()
+    joints.positions_at(row, arm.columns)
 }
 
 /// Bounding sphere of the motion in the base frame: centre and radius, m.

@@ -79,7 +79,9 @@ impl<'a> FigureSource<'a> {
             }
             None => {
                 let track = &arm.joints;
-                let tip = |row: usize| tip_pose(arm, track, row).translation.vector;
+                let tip = |row: usize| {
+                    arm.chain.forward(&track.positions_at(row, &arm.columns)).translation.vector
+                };
                 vibration_path(&track.t_s, tip, at_s)
             }
         }?;
@@ -233,11 +235,6 @@ impl<'a> FigureSource<'a> {
             max_speed: joint.limits.velocity,
         })
     }
-}
-
-fn tip_pose(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
-    let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
-    arm.chain.forward(&q)
 }
 
 fn are_at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
