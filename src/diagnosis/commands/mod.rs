@@ -20,6 +20,7 @@ use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::Measured;
+use ground::stats::thin::thinned;
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
@@ -361,7 +362,7 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);
     let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
-    for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+    for row in thinned(0..joints.len(), ENOUGH) {
         if joints.velocities(row).iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
             continue;
         }

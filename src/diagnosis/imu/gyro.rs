@@ -20,6 +20,7 @@ use crate::samples::sampling::check_sample_count;
 use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::thin::thinned;
 use ground::stats::{MeasuredLength, mean};
 use nalgebra::Matrix3;
 use std::ops::{Range, RangeInclusive};
@@ -160,8 +161,7 @@ impl Link<'_> {
         let mut buffers = self.buffers();
         let mut is_covered = |k: usize| self.at(delay.truth_s(t_s[k]), &mut buffers).is_some();
         windows.retain(|window| is_covered(*window.start()) && is_covered(*window.end()));
-        let stride = windows.len().div_ceil(MAX_WINDOWS).max(1);
-        windows.into_iter().step_by(stride).collect()
+        thinned(windows, MAX_WINDOWS).collect()
     }
 }
 

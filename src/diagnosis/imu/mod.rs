@@ -40,6 +40,7 @@ pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between, mean_vector, rotation_by_wahba};
 use ground::stats::mean;
+use ground::stats::thin::thinned;
 use ground::stream::{ImuTrack, JointSequence, JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
@@ -404,9 +405,8 @@ impl<'a> Link<'a> {
 
     /// Rms rotation of the link by FK about its mean in each block of the run.
     fn rotation_rms_rad(&self, delay: &Delay) -> f64 {
-        let stamps = &self.stream.track.t_s;
-        let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
-        let states = self.states((0..stamps.len()).step_by(step), *delay);
+        let rows = thinned(0..self.stream.track.t_s.len(), ROTATION_LATENCY_SAMPLES);
+        let states = self.states(rows, *delay);
         let rotations: Vec<Rotation> = states.map(|(_, state)| state.rotation).collect();
         let blocks = rotations.chunks(rotations.len().div_ceil(BLOCKS).max(1));
         rms(blocks.flat_map(|block| {
@@ -449,8 +449,7 @@ impl<'a> Link<'a> {
 
     /// Evenly thinned rows of the stream.
     fn rows(&self) -> impl Iterator<Item = usize> + use<> {
-        let rows = self.stream.track.t_s.len();
-        (0..rows).step_by(rows.div_ceil(MAX_IMU_FIT_SAMPLES).max(1))
+        thinned(0..self.stream.track.t_s.len(), MAX_IMU_FIT_SAMPLES)
     }
 
     /// States of the link at rows of the stream. Skips rows that the joint states do not cover.

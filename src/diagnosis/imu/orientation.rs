@@ -26,6 +26,7 @@ use crate::{
 };
 use ground::geometry::{Rotation, Vec3, mean_vector, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
+use ground::stats::thin::thinned;
 use nalgebra::{DVector, Matrix3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -138,9 +139,8 @@ impl Link<'_> {
         let known_mount = self.known_mount().unwrap_or_default();
         let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
         let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
-        let step = (to - from).div_ceil(ENCODING_SAMPLES).max(1);
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
-        for (k, state) in self.states((from..to).step_by(step), *start) {
+        for (k, state) in self.states(thinned(from..to, ENCODING_SAMPLES), *start) {
             fk.push(state.rotation * known_mount);
             logged.push(track.orientation[k]);
             forces.push(track.accel[k]);

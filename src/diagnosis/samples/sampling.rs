@@ -3,6 +3,7 @@
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{Pose, Rotation, interpolate};
 use ground::robot::Chain;
+use ground::stats::thin::thinned;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use ground::stream::{JointSequence, JointTrack, Orientations};
 use std::ops::Range;
@@ -22,9 +23,8 @@ pub(crate) fn check_sample_count(have: usize, need: usize) -> EstimateResult<()>
 /// halves, so each contains all kinds of motion.
 pub(crate) fn rows_of_half(len: usize, half: usize, max_rows: usize) -> Vec<usize> {
     const BLOCKS: usize = 10;
-    let stride = len.div_ceil(2 * max_rows).max(1);
     let block = len.div_ceil(BLOCKS).max(1);
-    (0..len).step_by(stride).filter(|row| (row / block) % 2 == half).collect()
+    thinned(0..len, 2 * max_rows).filter(|row| (row / block) % 2 == half).collect()
 }
 
 /// Row ranges of a series, thinned to about `max_rows` rows in even stretches.
@@ -116,8 +116,7 @@ pub(crate) fn slow_samples(
     let t_s = &stream.track.t_s;
     let mut sequence = joints.sequence();
     let mut slowest: Vec<(usize, f64)> = Vec::new();
-    let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
-    for (k, t) in t_s.iter().enumerate().step_by(stride) {
+    for (k, t) in thinned(t_s.iter().enumerate(), MAX_SAMPLES) {
         if let Some((_, qd)) = sequence.at(t - lag_s) {
             slowest.push((k, qd.iter().map(|v| v * v).sum()));
         }
@@ -127,8 +126,7 @@ pub(crate) fn slow_samples(
     slowest.truncate(kept);
     let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
     rows.sort_unstable();
-    let step = rows.len().div_ceil(ENCODING_SAMPLES).max(1);
-    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
+    let rows: Vec<usize> = thinned(rows, ENCODING_SAMPLES).collect();
     let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
     let fk = rows.iter().filter_map(|&k| fk.at(t_s[k] - lag_s)).collect();
     (rows, fk)

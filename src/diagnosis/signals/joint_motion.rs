@@ -4,6 +4,7 @@
 mod tests;
 
 use ground::stats::quantile;
+use ground::stats::thin::thinned;
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -216,7 +217,8 @@ pub fn peak_acceleration(
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
-    let intervals = strided(rows.saturating_sub(1)).map(|row| t_s[row + 1] - t_s[row]);
+    let intervals = thinned(0..rows.saturating_sub(1), MAX_WINDOWS);
+    let intervals = intervals.map(|row| t_s[row + 1] - t_s[row]);
     let period_s = quantile_of(intervals, 0.5)?;
     if rows < MIN_SERIES_SAMPLES || period_s.is_nan() || period_s <= 0.0 {
         return None;
@@ -335,11 +337,6 @@ fn speed_change(
     })
 }
 
-/// Thinned to about `MAX_WINDOWS`.
-fn strided(count: usize) -> impl Iterator<Item = usize> + Clone {
-    (0..count).step_by(count.div_ceil(MAX_WINDOWS).max(1))
-}
-
 /// Drops repeats if there are many while the joint moves: the publisher is faster than the driver.
 fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
     /// Above this share, the publisher causes repeats.
@@ -401,7 +398,7 @@ fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
         JointSampleKind::Positions => (w[3] - w[1]).abs(),
     };
     let count = values.len().saturating_sub(4);
-    let windows = || strided(count).map(|first| &values[first..first + 5]);
+    let windows = || thinned(0..count, MAX_WINDOWS).map(|first| &values[first..first + 5]);
     let fast = quantile_of(windows().map(speed), 0.75).unwrap_or(0.0);
     let moving = windows().filter(|w| speed(w) >= fast);
     let all = trimmed_rms(windows().map(difference), KEPT_SHARE);

@@ -1,4 +1,16 @@
-//! Rows of long streams for plots.
+//! Some rows of long streams.
+
+use std::iter::StepBy;
+
+/// Every k-th item, with the smallest k for at most `max` items.
+pub fn thinned<I: IntoIterator<IntoIter: ExactSizeIterator>>(
+    items: I,
+    max: usize,
+) -> StepBy<I::IntoIter> {
+    let items = items.into_iter();
+    let step = items.len().div_ceil(max).max(1);
+    items.step_by(step)
+}
 
 /// Every k-th row and the last, with the smallest k for at most `max_rows` rows.
 pub fn even_rows(rows: usize, max_rows: usize) -> Vec<usize> {
