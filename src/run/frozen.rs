@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use crate::diagnosis::value_range;
 use crate::geometry::{Pose, Vec3};
+use crate::stats::thin::thinned;
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
 
@@ -174,8 +175,7 @@ impl PoseSource {
     pub(super) fn fk_poses(&self, joints: &JointTrack, rows: Range<usize>) -> Vec<Pose> {
         const MAX_POSES: usize = 64;
         let pose = |row: usize| self.chain.forward(&joints.positions_at(row, &self.columns));
-        let stride = rows.len().div_ceil(MAX_POSES).max(1);
-        rows.step_by(stride).map(pose).collect()
+        thinned(rows, MAX_POSES).map(pose).collect()
     }
 }
 

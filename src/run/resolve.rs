@@ -16,6 +16,7 @@ use crate::run::{
     Arm, HandKind, HandSource, ImuSource, MIN_FOLLOWER_CORRELATION, NotAudited, NotAuditedReason,
     PoseSource, Role, Run, SharedStream, Stream, with_key,
 };
+use crate::stats::thin::thinned;
 use crate::stream::{Orientations, PoseTrack};
 
 use super::objects::MIN_MOTION_M;
@@ -214,8 +215,7 @@ fn resolve_leading_arms(run: &mut Run, max_lag_s: f64) {
 /// Lead over an arm of the same kind, s.
 fn arm_lead_s(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
     const MAX_COMPARED_SAMPLES: usize = 20_000;
-    let rows =
-        || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MAX_COMPARED_SAMPLES).max(1));
+    let rows = || thinned(0..arm.joints.len(), MAX_COMPARED_SAMPLES);
     let poses = rows().map(|row| arm.chain.forward(&arm.joints.positions_at(row, &arm.columns)));
     let (xyz, rotations) = poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
     let track = PoseTrack {

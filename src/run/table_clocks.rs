@@ -7,6 +7,7 @@ use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
 use crate::geometry::Vec3;
 use crate::log::{Log, Note, Topic};
 use crate::robot::Chain;
+use crate::stats::thin::thinned;
 use crate::stream::{Columns, JointColumns, JointTrack, Orientations, PoseTrack, Times};
 use crate::time::{Stamp, nanos, seconds};
 
@@ -203,8 +204,7 @@ fn joint_order(chain: &Chain, columns: &JointColumns) -> Option<Vec<usize>> {
 fn rows_of(times: &Times) -> (i64, Vec<usize>, Vec<f64>) {
     let origin = times.header.first().copied().unwrap_or_default();
     let (mut rows, mut t_s) = (Vec::new(), Vec::new());
-    let every = times.header.len().div_ceil(MAX_ROWS).max(1);
-    for (row, stamp) in times.header.iter().enumerate().step_by(every) {
+    for (row, stamp) in thinned(times.header.iter().enumerate(), MAX_ROWS) {
         let at_s = seconds(stamp.saturating_sub(origin));
         if t_s.last().is_none_or(|last| at_s > *last) {
             rows.push(row);

@@ -6,6 +6,7 @@ use super::super::joints::{JointTopic, JointTopics, SortedSamples};
 use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::streams::Stream;
 use super::super::velocities::root_mean_square;
+use crate::stats::thin::thinned;
 use crate::time::Stamp;
 
 /// Joint state topics in which each name refers to a single joint.
@@ -132,9 +133,8 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
 fn compare_joint(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<JointComparison> {
     let (a, b) = (SortedSamples::from_topic(a, name), SortedSamples::from_topic(b, name));
     let bits: HashSet<u32> = a.position.iter().map(|q| (*q as f32).to_bits()).collect();
-    let step = b.stamps.len().div_ceil(MAX_SAMPLES).max(1);
     let mut both = JointComparison { a: Vec::new(), b: Vec::new(), copied: 0.0 };
-    for row in (0..b.stamps.len()).step_by(step) {
+    for row in thinned(0..b.stamps.len(), MAX_SAMPLES) {
         let (stamp, value) = (b.stamps[row], b.position[row]);
         let right = a.stamps.partition_point(|&other| other < stamp);
         let left = right.saturating_sub(usize::from(a.stamps.get(right) != Some(&stamp)));
