@@ -10,6 +10,7 @@ use crate::model::jacobian::PoseJacobian;
 use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
+use ground::stats::thin::thinned;
 use ground::stats::{cumulative, median, parabola_minimum};
 use ground::stream::{JointTrack, PoseTrack};
 use realfft::RealFftPlanner;
@@ -66,7 +67,7 @@ impl ArmSpeeds {
         let identity = Pose::identity();
         let mut t_s = Vec::new();
         let mut speeds: [Vec<f64>; 3] = Default::default();
-        for row in (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1)) {
+        for row in thinned(0..joints.len(), MAX_ROWS) {
             let Some([base_linear, base_angular]) = base_velocity(joints.t_s[row]) else {
                 continue;
             };

@@ -4,6 +4,7 @@ use crate::PoseStream;
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use ground::geometry::Pose;
 use ground::stats::Measured;
+use ground::stats::thin::thinned;
 use ground::stream::JointTrack;
 use nalgebra::{DMatrix, DVector};
 
@@ -118,7 +119,7 @@ impl TwoLatencies {
         let mut sequence = joints.sequence();
         let mut link = vec![[0.0; 6]; columns.len()];
         let identity = Pose::identity();
-        for at in (0..track.t_s.len()).step_by(track.t_s.len().div_ceil(MAX_SAMPLES).max(1)) {
+        for at in thinned(0..track.t_s.len(), MAX_SAMPLES) {
             let Some((q, qd)) = sequence.at(track.t_s[at] - lag_s) else { continue };
             let of_chain =
                 |all: &[f64]| -> Vec<f64> { columns.iter().map(|&column| all[column]).collect() };

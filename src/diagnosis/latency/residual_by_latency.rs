@@ -3,6 +3,7 @@
 use crate::samples::sampling::FkSequence;
 use crate::{PoseDiagnosis, PoseStream};
 use ground::geometry::Vec3;
+use ground::stats::thin::thinned;
 use ground::stream::JointTrack;
 
 /// Residual at one latency.
@@ -32,8 +33,7 @@ pub fn residual_by_latency(
     let mut squares = vec![(0.0, 0.0); latencies_s.len()];
     let mut compared = 0;
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
-    let step = aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1);
-    for row in (0..aligned.t_s.len()).step_by(step) {
+    for row in thinned(0..aligned.t_s.len(), MAX_SAMPLES) {
         let stamp_s = aligned.t_s[row];
         let residual = |latency_s: &f64| {
             let fk = sequence.at(stamp_s - latency_s - skew * (stamp_s - middle_s))?;

@@ -1,6 +1,7 @@
 //! Squared differences between the speeds of arm and stream at a latency.
 
 use super::correlation::SpeedSeries;
+use ground::stats::thin::thinned;
 
 pub(crate) const MAX_PROFILE_SAMPLES: usize = 4000;
 /// After compensation, as a fraction of the speeds' variation.
@@ -15,7 +16,7 @@ pub(crate) fn squared_residual(
 }
 
 pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
-    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
+    thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES).collect()
 }
 
 pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {

@@ -11,6 +11,7 @@ use super::speed_residual::{
 use crate::samples::sampling::{monotonic_rows, rows_within, value_range};
 use crate::{EstimateResult, Measured};
 use ground::stats::parabola_minimum;
+use ground::stats::thin::thinned;
 
 /// Between two candidate lags.
 const MIN_LAG_SEPARATION_S: f64 = 0.015;
@@ -160,8 +161,7 @@ impl LatencySteps {
             let clear: Vec<usize> = rows_within(&stream.t_s, from_s, end_s)
                 .filter(|&row| self.is_far_from_steps(stream.t_s[row]))
                 .collect();
-            let stride = clear.len().div_ceil(MAX_PROFILE_SAMPLES).max(1);
-            let rows: Vec<usize> = clear.into_iter().step_by(stride).collect();
+            let rows: Vec<usize> = thinned(clear, MAX_PROFILE_SAMPLES).collect();
             let cost = |lag_s: f64| differences(arm, stream, &rows, |_| lag_s).iter().sum::<f64>();
             let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));

@@ -2,6 +2,7 @@
 
 use super::windows::{BIN_S, Bin, Terms, Window, effective_count};
 use crate::priors::price_of_cause;
+use ground::stats::thin::thinned;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
 
 /// Levels of a latency over time.
@@ -219,8 +220,8 @@ fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
         return None;
     }
     let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
-    let stride = windows.len().div_ceil(MAX_TRIAL_TIMES).max(1);
-    let times_s: Vec<f64> = windows.iter().step_by(stride).map(|window| window.t_s).collect();
+    let tried = thinned(windows, MAX_TRIAL_TIMES);
+    let times_s: Vec<f64> = tried.map(|window| window.t_s).collect();
     let pairs = times_s.iter().enumerate();
     let pairs = pairs.flat_map(|(at, a)| times_s[at + 1..].iter().map(move |b| [*a, *b]));
     let fits = pairs.filter_map(|pair| Fit::new(&coarse, Basis::Ramp(pair)));
