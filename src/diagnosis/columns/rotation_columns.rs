@@ -3,6 +3,7 @@
 use super::{ColumnMapping, NumericTable};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
+use ground::stats::thin::thinned;
 
 impl NumericTable {
     /// Whether the columns are the tool's rotation: 3 numbers in some convention, a quaternion in any
@@ -18,9 +19,7 @@ impl NumericTable {
         const COMPARED_ROWS: usize = 60;
         const MAX_DIFFERENCE_RAD: f64 = 0.05;
         const MIN_ROTATION_RAD: f64 = 0.2;
-        let all = self.few_rows();
-        let rows: Vec<usize> =
-            all.iter().copied().step_by(all.len().div_ceil(COMPARED_ROWS).max(1)).collect();
+        let rows: Vec<usize> = thinned(self.few_rows(), COMPARED_ROWS).collect();
         let block = mapping.block();
         let fk = self.poses_at(&block, chain, &rows, mapping.lag_s);
         let pairs: Vec<(usize, usize)> =

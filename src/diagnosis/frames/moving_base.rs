@@ -12,6 +12,7 @@ use crate::samples::sampling::FkSequence;
 use crate::solver::noise::Noise;
 use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::stats::Measured;
+use ground::stats::thin::thinned;
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::{Matrix2, Vector2};
 
@@ -330,7 +331,7 @@ impl PlanarTravel {
 }
 
 fn sample_rows(rows: usize) -> Vec<usize> {
-    (0..rows).step_by(rows.div_ceil(MAX_SAMPLES).max(1)).collect()
+    thinned(0..rows, MAX_SAMPLES).collect()
 }
 
 #[cfg(test)]

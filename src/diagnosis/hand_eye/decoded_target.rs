@@ -7,6 +7,7 @@ use ground::geometry::{
     xyzw_from_rotation,
 };
 use ground::stats::Measured;
+use ground::stats::thin::thinned;
 
 /// Encoding of a target's poses.
 #[derive(Clone, Copy, Debug)]
@@ -57,9 +58,8 @@ impl<'a> HandEyeStreams<'a> {
         mount: CameraMount,
         most: usize,
     ) -> HandEyeSetting<'a> {
-        let stride = self.target.t_s.len().div_ceil(most).max(1);
         let mut truths = Vec::new();
-        let stamped = self.target.t_s.iter().zip(&self.target.poses).step_by(stride);
+        let stamped = thinned(self.target.t_s.iter().zip(&self.target.poses), most);
         let poses = stamped.map(|(&t_s, pose)| (t_s, encoding.decode(pose, &mut truths)));
         HandEyeSetting::new(self.hand, poses, mount)
     }

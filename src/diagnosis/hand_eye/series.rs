@@ -5,6 +5,7 @@ use crate::latency::correlation::median_period_s;
 use crate::samples::sampling::pose_between;
 use ground::geometry::{Pose, Vec3, pose};
 use ground::robot::Chain;
+use ground::stats::thin::thinned;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Poses over time. Times are from the run's origin, strictly increasing.
@@ -106,8 +107,7 @@ impl<'a> HandEyeSetting<'a> {
 
     /// Simultaneous poses for a target delay of `lag_s`. Takes at most `most` pairs, evenly spaced.
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
-        let step = self.targets.len().div_ceil(most).max(1);
-        let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
+        let pairs = thinned(&self.targets, most).filter_map(|&(t_s, target)| {
             Some(PosePair { carrier_pose: self.carrier_at(t_s - lag_s)?, target })
         });
         pairs.collect()

@@ -6,6 +6,7 @@ use ground::geometry::{
     rotvec_from_rotation,
 };
 use ground::stats::median;
+use ground::stats::thin::thinned;
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 const MAX_CLOSED_FORM_POSES: usize = 150;
@@ -125,12 +126,11 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
 /// Smallest median distance to all others, among a few candidates.
 fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     const MAX_CANDIDATES: usize = 15;
-    let step = rotations.len().div_ceil(MAX_CANDIDATES).max(1);
     let distance = |one: &Rotation| {
         let mut all: Vec<f64> = rotations.iter().map(|other| angle_between(one, other)).collect();
         median(&mut all).unwrap_or(0.0)
     };
-    let tried = rotations.iter().step_by(step).map(|one| (distance(one), *one));
+    let tried = thinned(rotations, MAX_CANDIDATES).map(|one| (distance(one), *one));
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
 
