@@ -7,6 +7,7 @@ use crate::latency::correlation::stream_lag_s;
 use crate::samples::sampling::FkSequence;
 use crate::{AxesError, PoseEncoding, PoseStream};
 use ground::geometry::Rotation;
+use ground::stats::thin::thinned;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// For the constant frames.
@@ -61,8 +62,7 @@ pub(crate) fn decode_rotations(
 ) -> Option<Vec<Rotation>> {
     let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)? * tool)));
     let known: Vec<(usize, Rotation)> = known.collect();
-    let some = known.iter().step_by(known.len().div_ceil(MAX_FIT_SAMPLES).max(1));
-    let (rows, fk): (Vec<usize>, Vec<Rotation>) = some.copied().unzip();
+    let (rows, fk): (Vec<usize>, Vec<Rotation>) = thinned(known, MAX_FIT_SAMPLES).unzip();
     let there: Vec<Rotation> = rows.iter().map(|&row| logged[row]).collect();
     if there.is_empty() {
         return None;

@@ -296,9 +296,7 @@ pub(super) fn single_zeros(
     let PoseObservations { joints, columns, .. } = *observations;
     let mut sequence = joints.sequence();
     let (mut xyz, mut rotation, mut rows) = (Vec::new(), Vec::new(), Vec::new());
-    for k in
-        (0..observations.len()).step_by(observations.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1))
-    {
+    for k in observations.rows(JOINT_ENCODING_SAMPLES) {
         if let Some((q, _)) = sequence.at(observations.t_s[k] - lag_s) {
             xyz.push(observations.xyz[k]);
             rotation.push(observations.rotation[k]);

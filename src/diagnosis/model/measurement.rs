@@ -9,6 +9,7 @@ use crate::FrameCorrection;
 use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
+use ground::stats::thin::thinned;
 use ground::stream::{JointSequence, JointTrack};
 use nalgebra::{DVector, Translation3};
 
@@ -308,7 +309,7 @@ impl PoseObservations<'_> {
 
     /// Rows of up to `most` evenly chosen samples.
     pub fn rows(&self, most: usize) -> impl ExactSizeIterator<Item = usize> + use<> {
-        (0..self.len()).step_by(self.len().div_ceil(most).max(1))
+        thinned(0..self.len(), most)
     }
 
     /// The same poses with other stamps.
