@@ -247,15 +247,14 @@ fn line_deviation(
     if !is_same_motion {
         return None;
     }
-    let rows = series.t_s.partition_point(|&t| t < before.to_s)
-        ..series.t_s.partition_point(|&t| t <= after.from_s);
     let place = |pose: &Pose| {
         let pose = pose * tip_from_point;
         let (part, deviation) = measured_motion.locate(&pose);
         let turn = rotvec_from_rotation(&(pose.rotation * measured_motion.slerp(part).inverse()));
         (part, deviation, turn)
     };
-    let mut placed: Vec<(f64, Vec3, Vec3)> = series.poses[rows].iter().map(place).collect();
+    let mut placed: Vec<(f64, Vec3, Vec3)> =
+        poses_within(series, before.to_s, after.from_s).iter().map(place).collect();
     placed.retain(|(part, ..)| (0.0..1.0).contains(part));
     let bins = (placed.len() / SAMPLES_PER_BIN).min(MAX_BINS);
     if bins < 3 {

@@ -2,7 +2,9 @@
 
 use crate::PoseSeries;
 use crate::latency::correlation::median_period_s;
-use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{
+    Pose, angle_between, mean_vector, rotation_from_rotvec, rotvec_from_rotation,
+};
 use ground::stats::cumulative;
 use ground::stream::{JointTrack, sample_noise};
 
@@ -112,12 +114,9 @@ pub(super) fn poses_within(series: &PoseSeries, from_s: f64, to_s: f64) -> &[Pos
 
 /// Mean of nearly equal poses. `None` without poses.
 pub(super) fn mean_pose(poses: &[Pose]) -> Option<Pose> {
-    let first = poses.first()?;
-    let (mut xyz, mut turn, count) = (Vec3::zeros(), Vec3::zeros(), poses.len() as f64);
-    for pose in poses {
-        xyz += pose.translation.vector;
-        turn += rotvec_from_rotation(&(first.rotation.inverse() * pose.rotation));
-    }
-    let rotation = first.rotation * rotation_from_rotvec(turn / count);
-    Some(Pose::from_parts((xyz / count).into(), rotation))
+    let first = poses.first()?.rotation;
+    let xyz = mean_vector(poses.iter().map(|pose| pose.translation.vector));
+    let turn = |pose: &Pose| rotvec_from_rotation(&(first.inverse() * pose.rotation));
+    let rotation = first * rotation_from_rotvec(mean_vector(poses.iter().map(turn)));
+    Some(Pose::from_parts(xyz.into(), rotation))
 }
