@@ -8,13 +8,13 @@ use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
 use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
 use super::{
-    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
-    mount_of, rms,
+    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, mount_of,
 };
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_imu_encoding,
 };
+use crate::frames::position_fit::spread;
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::LatencySample;
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
@@ -24,7 +24,7 @@ use crate::solver::linear::Linear;
 use crate::{
     EncodingEstimate, EstimateResult, HeadingPair, Measured, NotObservable, YawJump, YawProfile,
 };
-use ground::geometry::{Rotation, Vec3, mean_vector, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stats::thin::thinned;
 use nalgebra::{DVector, Matrix3};
@@ -223,9 +223,8 @@ impl OrientationModel<'_> {
         let length = solved.mount_error(Self::MOUNT, error.as_slice())?;
         let turned: Vec<Vec3> =
             self.states().map(|(.., state)| state.rotation * error_in_link).collect();
-        let mean = mean_vector(&turned);
-        let effect_rad = rms(turned.iter().map(|turned| (turned - mean).norm()));
-        let is_hidden = length.norm.value > MAX_EXPLAINED_RAD && effect_rad < MAX_EXPLAINED_RAD;
+        let is_hidden =
+            length.norm.value > MAX_EXPLAINED_RAD && spread(&turned) < MAX_EXPLAINED_RAD;
         match length.p_value < MOUNT_SIGNIFICANCE && is_hidden {
             true => Err(NotObservable::NotExcited),
             false => Ok(length),
