@@ -670,7 +670,7 @@ fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<R
     let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
     let changing = Stream::all(run, before);
     take_from(&mut tracks, &changing, &changes);
-    let removal = Removal::new(run, before, tracks, changes);
+    let removal = Removal::new(run, before, tracks, changes).with_scale_of(before);
     removal.explains_more_than(&changing, run).then(|| refined(run, before, removal))
 }
 
@@ -706,7 +706,7 @@ fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal
         }
         let mut tracks = removal.tracks.clone();
         take_from(&mut tracks, &steady, &more);
-        let next = Removal::new(run, before, tracks, changes);
+        let next = Removal::new(run, before, tracks, changes).with_scale_of(&removal.after);
         if !next.explains_more_than(&steady, run) {
             break;
         }
@@ -756,6 +756,20 @@ impl Removal {
         let streams = with_tracks(run.streams, &tracks);
         let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
         Self { changes, patches, tracks, after }
+    }
+
+    /// Converts changes of positions, which were divided by the radial scale in `before`, to the scale without changes: a
+    /// tool that becomes longer looks like a scale.
+    fn with_scale_of(mut self, before: &ArmDiagnosis) -> Self {
+        for Change { subject, columns, half, .. } in &mut self.changes {
+            let Subject::Frame { stream, frame } = *subject else { continue };
+            let [from, to] = [before, &self.after]
+                .map(|it| 1.0 + it.streams[stream].frame_correction.radial_scale);
+            let lengths = columns.clone().zip(half.iter_mut());
+            let lengths = lengths.filter(|(column, _)| frame.translation().contains(column));
+            lengths.for_each(|(_, half)| *half *= from / to);
+        }
+        self
     }
 
     /// Whether the same streams follow FK, with less unexplained residual.
@@ -1078,6 +1092,26 @@ mod tests {
             q.iter_mut().enumerate().for_each(|(joint, q)| *q -= missing(t_s, joint).to_radians());
         }
         diagnose_run(&joints, &[test_motion::tip_stream(&track, &chain)], &[false; 6], 1.0)
+    }
+
+    #[test]
+    fn a_long_tool_in_mid_run_is_no_scale() {
+        let (joints, chain) = test_motion::arm();
+        for at_s in [6.0, 9.0, 14.0] {
+            let poses = joints.q.chunks(6).zip(&joints.t_s).map(|(q, &t_s)| {
+                let tool = Vec3::new(0.0, 0.0, if t_s > at_s { 0.12 } else { 0.0 });
+                let pose = chain.forward(q) * Pose::from_parts(tool.into(), Rotation::identity());
+                (pose.translation.vector, pose.rotation)
+            });
+            let track = test_motion::pose_track(&joints.t_s, poses);
+            let stream = test_motion::tip_stream(&track, &chain);
+            let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
+            let [change] = found.streams[0].tool_changes.as_slice() else {
+                panic!("{at_s}: {:?}", found.streams[0])
+            };
+            let size = &change.size.translation_m;
+            assert!((size.value - 0.12).abs() < 1e-4, "{at_s}: {size:?}");
+        }
     }
 
     #[test]
