@@ -136,7 +136,7 @@ impl Config {
         };
         let what = format!("`{model}` is neither a file nor a catalogue arm{nearest}");
         let remedy = "name a URDF or TOML file, or an arm listed by `poseaudit robots`";
-        Err(read::call_trouble(self.place(robot.span().start), what, remedy))
+        Err(Trouble::call(self.place(robot.span().start), what, remedy))
     }
 
     fn robots(&self) -> Vec<RobotSource> {

@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::file::ConfigFile;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::robot::nearest;
 
 /// In bytes; the parser needs up to 2000 times as much memory.
@@ -14,7 +14,6 @@ const MAX_BYTES: usize = 256 << 10;
 const MAX_SHOWN_CHARS: usize = 200;
 
 pub(super) fn read_text(path: &Path) -> Result<String, Trouble> {
-    let place = path.display().to_string();
     let mut text = String::new();
     let read = Opened::open(path).and_then(|file| {
         // One byte more shows that the file is too large.
@@ -22,24 +21,20 @@ pub(super) fn read_text(path: &Path) -> Result<String, Trouble> {
     });
     read.map(|_| text).map_err(|error| {
         let remedy = "name a readable file; `poseaudit init LOG` writes one";
-        call_trouble(place, format!("cannot be read: {error}"), remedy)
+        Trouble::call(path.display(), format_args!("cannot be read: {error}"), remedy)
     })
 }
 
 pub(super) fn parse(text: &str, path: &Path) -> Result<ConfigFile, Trouble> {
     if text.len() > MAX_BYTES {
         let what = format!("larger than the maximum of {MAX_BYTES} bytes");
-        return Err(call_trouble(path.display().to_string(), what, "name the config of one audit"));
+        return Err(Trouble::call(path.display(), what, "name the config of one audit"));
     }
     toml::from_str(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);
         let (what, remedy) = reword(error.message());
-        call_trouble(line_place(path, text, at), what, remedy)
+        Trouble::call(line_place(path, text, at), what, remedy)
     })
-}
-
-pub(super) fn call_trouble(place: String, what: String, remedy: &str) -> Trouble {
-    Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }
 
 /// `FILE:LINE` of byte `at`.

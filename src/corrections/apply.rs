@@ -12,7 +12,7 @@ use crate::diagnosis::{
 use crate::finding::Unit;
 use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
 use crate::log::Log;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::robot::JointKind;
 use crate::run::{Arm, JointStateCorrection, PoseSource, Run};
 use crate::stream::Orientations;
@@ -26,13 +26,8 @@ pub(crate) struct GivenCorrections<'a> {
 
 impl GivenCorrections<'_> {
     fn error(&self, what: String) -> Trouble {
-        Trouble {
-            kind: TroubleKind::Call,
-            what,
-            place: self.file.display().to_string(),
-            remedy: "correct the name (see `poseaudit info`), or remove it from the file"
-                .to_owned(),
-        }
+        let remedy = "correct the name (see `poseaudit info`), or remove it from the file";
+        Trouble::call(self.file.display(), what, remedy)
     }
 
     /// Subtracts latencies from header and receive stamps, so clock alignment is unaffected.

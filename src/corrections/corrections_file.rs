@@ -12,7 +12,7 @@ use crate::geometry::{
     AngleUnit, Axes, Convention, LengthScale, Misread, Pose, RotationError,
     misinterpretation_classes, pose, rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 
 /// Corrections of a log's joints and topics. Names are as in the log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -294,11 +294,9 @@ impl Corrections {
     /// With the line, if it cannot be read or has a different layout.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let place = path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|error| Trouble {
-            kind: TroubleKind::Call,
-            what: format!("cannot be read: {error}"),
-            place: place.clone(),
-            remedy: "pass the corrections.toml written by `audit --fix DIR`".to_owned(),
+        let text = fs::read_to_string(path).map_err(|error| {
+            let remedy = "pass the corrections.toml written by `audit --fix DIR`";
+            Trouble::call(&place, format_args!("cannot be read: {error}"), remedy)
         })?;
         Self::from_text(&text, &place)
     }
@@ -308,12 +306,8 @@ impl Corrections {
     /// # Errors
     /// With the line, if it has a different layout.
     pub fn from_text(text: &str, source: &str) -> Result<Self, Trouble> {
-        let refuse = |place: String, what: String| Trouble {
-            kind: TroubleKind::Call,
-            what,
-            place,
-            remedy: "compare it with a file written by `audit --fix DIR`".to_owned(),
-        };
+        let remedy = "compare it with a file written by `audit --fix DIR`";
+        let refuse = |place: String, what: String| Trouble::call(place, what, remedy);
         let corrections: Self = toml::from_str(text).map_err(|error| {
             let before = &text.as_bytes()[..error.span().map_or(0, |span| span.start)];
             let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();

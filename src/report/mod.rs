@@ -424,12 +424,11 @@ fn no_evaluation_trouble(log: &LogSummary, checks: &[CheckRow]) -> Option<Troubl
     }
     let why = about_arm.first()?.reason.as_deref().unwrap_or_default();
     let file = log.files.first().map(|file| file.path.display().to_string());
-    Some(Trouble {
-        kind: TroubleKind::Log,
-        what: format!("nothing can be audited: {why}"),
-        place: file.unwrap_or_else(|| "the log".to_owned()),
-        remedy: "record the joint states with a pose, /tf or an IMU".to_owned(),
-    })
+    Some(Trouble::log(
+        file.unwrap_or_else(|| "the log".to_owned()),
+        format_args!("nothing can be audited: {why}"),
+        "record the joint states with a pose, /tf or an IMU",
+    ))
 }
 
 /// A hand-eye check does not require an arm.

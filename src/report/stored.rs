@@ -3,7 +3,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{Report, SCHEMA, Trouble, TroubleKind};
+use super::{Report, SCHEMA, Trouble};
 
 impl Report {
     /// Reads a report.
@@ -11,12 +11,8 @@ impl Report {
     /// # Errors
     /// If it cannot be read, or has another schema.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
-        let trouble = |place: String, what: String| Trouble {
-            kind: TroubleKind::Call,
-            what,
-            place,
-            remedy: "make one with `poseaudit audit LOG --format json --output FILE`".to_owned(),
-        };
+        let remedy = "make one with `poseaudit audit LOG --format json --output FILE`";
+        let trouble = |place: String, what: String| Trouble::call(place, what, remedy);
         let place = path.display().to_string();
         let text = fs::read(path)
             .map_err(|error| trouble(place.clone(), format!("it cannot be read: {error}")))?;

@@ -1,3 +1,4 @@
+use std::fmt::Display;
 use std::io::ErrorKind;
 use std::path::Path;
 
@@ -37,10 +38,24 @@ pub enum TroubleKind {
 }
 
 impl Trouble {
+    /// An option or a file that the call names.
+    pub fn call(place: impl Display, what: impl Display, remedy: impl Display) -> Self {
+        Self { kind: TroubleKind::Call, ..Self::log(place, what, remedy) }
+    }
+
+    /// A log.
+    pub fn log(place: impl Display, what: impl Display, remedy: impl Display) -> Self {
+        Self {
+            kind: TroubleKind::Log,
+            what: what.to_string(),
+            place: place.to_string(),
+            remedy: remedy.to_string(),
+        }
+    }
+
     /// A file or folder that cannot be written.
     pub fn unwritable(path: &Path, what: String, remedy: &str) -> Self {
-        let (kind, place) = (TroubleKind::Call, path.display().to_string());
-        Trouble { kind, what, place, remedy: remedy.to_owned() }
+        Self::call(path.display(), what, remedy)
     }
 }
 
