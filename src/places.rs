@@ -11,7 +11,7 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::config::FILE_NAME;
 use crate::log;
-use crate::report::{Trouble, TroubleKind, is_descriptor, resolve_local_link};
+use crate::report::{Trouble, is_descriptor, resolve_local_link};
 
 /// Files and folders of a call.
 #[derive(Clone, Debug, Default)]
@@ -165,10 +165,10 @@ impl PathRegistry {
             let input = self.inputs.iter().find(|(_, input)| input.is_same_file(stream));
             if let Some((what, input)) = input {
                 let why = format!("it is {what} {}, which would be lost", input.given.display());
-                return Err(path_trouble("stdout", &why, "send it elsewhere"));
+                return Err(Trouble::call("stdout", why, "send it elsewhere"));
             }
             if let Some(why) = self.folders.iter().find_map(|tree| tree.input_conflict(stream)) {
-                return Err(path_trouble("stdout", &why, "send it elsewhere"));
+                return Err(Trouble::call("stdout", why, "send it elsewhere"));
             }
         }
         for (at, output) in self.outputs.iter().enumerate() {
@@ -176,7 +176,7 @@ impl PathRegistry {
             let is_file = *kind == OutputKind::File;
             let refuse = |why: &str| {
                 let shown = format!("{option} {}", place.given.display());
-                Err(path_trouble(&shown, why, &format!("name another with {option}")))
+                Err(Trouble::call(shown, why, format_args!("name another with {option}")))
             };
             if place.is_device() && is_file {
                 continue;
@@ -359,9 +359,4 @@ fn standard_stream_path(stream: &impl std::os::fd::AsFd) -> Option<ResolvedPath>
 #[cfg(not(unix))]
 fn standard_stream_path<T>(_: &T) -> Option<ResolvedPath> {
     None
-}
-
-fn path_trouble(place: &str, what: &str, remedy: &str) -> Trouble {
-    let (place, what, remedy) = (place.to_owned(), what.to_owned(), remedy.to_owned());
-    Trouble { kind: TroubleKind::Call, what, place, remedy }
 }

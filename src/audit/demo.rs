@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::Options;
 use crate::finding::{Cause, Estimate, Finding};
 use crate::geometry::{Convention, Misinterpretation, RotationError};
-use crate::report::{Report, Trouble, TroubleKind, write_whole};
+use crate::report::{Report, Trouble, write_whole};
 use crate::synth::{self, Scenario};
 
 /// File name of the log of [`demo`].
@@ -55,11 +55,8 @@ fn audit_scenario(
     scenario: &Scenario,
     check: fn(&[Finding], &Scenario) -> Vec<PlantedFault>,
 ) -> Result<Demo, Trouble> {
-    write(&log, scenario).map_err(|error| Trouble {
-        kind: TroubleKind::Call,
-        what: innermost_cause(&*error).to_string(),
-        place: log.display().to_string(),
-        remedy: "name a writable folder".to_owned(),
+    write(&log, scenario).map_err(|error| {
+        Trouble::call(log.display(), innermost_cause(&*error), "name a writable folder")
     })?;
     let audited = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
     let report = audited.with_figures().into_report();

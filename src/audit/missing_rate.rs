@@ -4,7 +4,7 @@ use super::Options;
 use crate::log::{
     self, Container, FileLayout, LayoutItem, Log, LogError, Meaning, RowLayout, SourceName,
 };
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::run::identify_columns;
 use crate::stream::{Columns, JointColumns};
 
@@ -20,9 +20,8 @@ pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
     log::open(&options.logs, &options.read).map_err(|error| {
         let question = match &error {
             LogError::NoTimes { path, what, rows, .. } => question(options, *rows).map(|own| {
-                let place = SourceName::from_path(path).to_string();
                 let what = format!("{what}{}", own.implied);
-                Trouble { kind: TroubleKind::Log, what, place, remedy: own.remedy }
+                Trouble::log(SourceName::from_path(path), what, own.remedy)
             }),
             _ => None,
         };

@@ -6,7 +6,7 @@ use crate::checks::Settings;
 use crate::finding::Severity;
 use crate::log::ReadOptions;
 use crate::places::PathRegistry;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::run::{RobotSource, RunOptions};
 
 /// Input and settings of an audit.
@@ -54,12 +54,11 @@ impl Options {
         self.read.given = logs.into_iter().collect();
         match self.logs.len() == self.read.given.len() {
             true => Ok(self),
-            false => Err(Trouble {
-                kind: TroubleKind::Call,
-                what: "two files have the same name".to_owned(),
-                place: "the files".to_owned(),
-                remedy: "use a different name for each".to_owned(),
-            }),
+            false => Err(Trouble::call(
+                "the files",
+                "two files have the same name",
+                "use a different name for each",
+            )),
         }
     }
 

@@ -18,7 +18,7 @@ use foxglove_data_loader::{
 };
 use poseaudit::finding;
 use poseaudit::output::foxglove as output;
-use poseaudit::report::{Trouble, TroubleKind};
+use poseaudit::report::Trouble;
 
 use messages::Messages;
 use recording::Recording;
@@ -60,12 +60,7 @@ foxglove_data_loader::export!(Loader);
 
 /// Reads a whole file: the readers of most tables need all of it.
 fn read(path: &str) -> Result<Bytes, Trouble> {
-    let trouble = |what: String, remedy: &str| Trouble {
-        kind: TroubleKind::Log,
-        what,
-        place: path.to_owned(),
-        remedy: remedy.to_owned(),
-    };
+    let trouble = |what: String, remedy: &str| Trouble::log(path, what, remedy);
     let mut reader = reader::open(path);
     let size = reader.size();
     let mut content = Vec::new();
