@@ -8,7 +8,7 @@ use super::store::{LogRows, RunRow, Status, Store, StoreError, Tables, count_fin
 use super::task::{AuditAnswer, Task};
 use crate::boundary::catch_panic;
 use crate::finding::Severity;
-use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
+use crate::report::{Report, Trouble, html, write_whole};
 use crate::{Audited, Options, audit};
 
 /// Audits one log. Returns its rows, and why it could not be audited, if it was not. Panics are stored in the row.
@@ -100,12 +100,7 @@ fn log_rows(
 }
 
 pub fn crash_trouble(task: &Task, what: String) -> Trouble {
-    Trouble {
-        kind: TroubleKind::Log,
-        what,
-        place: task.path.clone(),
-        remedy: "report this as a bug and attach the log".to_owned(),
-    }
+    Trouble::log(&task.path, what, "report this as a bug and attach the log")
 }
 
 /// Whether a message indicates a failed memory allocation.

@@ -20,7 +20,7 @@ use super::store::{SourceRow, Status, Store};
 use super::task::{AuditAnswer, Task};
 use super::worker::{AuditJob, Limits, Worker, WorkerFailure};
 use crate::log::{SourceName, is_url, list};
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 
 /// When content hashes are saved, in logs and in time.
 const SAVE_INTERVAL_LOGS: usize = 100;
@@ -226,15 +226,14 @@ impl Engine<'_> {
 
     /// Stores the row of a log whose process failed.
     fn record_failure(&self, task: &Task, failure: WorkerFailure) -> Result<LogResult, Trouble> {
-        let (status, what) = match failure {
+        let (status, trouble) = match failure {
             WorkerFailure::Unavailable(why) => return Err(self.call_trouble(why)),
-            WorkerFailure::TimedOut => (Status::TimedOut, self.timeout_trouble()),
-            WorkerFailure::OutOfMemory => (Status::OutOfMemory, self.memory_trouble()),
+            WorkerFailure::TimedOut => (Status::TimedOut, self.timeout_trouble(task)),
+            WorkerFailure::OutOfMemory => (Status::OutOfMemory, self.memory_trouble(task)),
             WorkerFailure::Crashed(how) => {
                 (Status::Crashed, crash_trouble(task, format!("the audit process failed: {how}")))
             }
         };
-        let trouble = Trouble { place: task.path.clone(), ..what };
         let answer = store_failure(task, status, &trouble, self.call.store)?;
         Ok(LogResult::New(answer, Some(trouble)))
     }
@@ -362,34 +361,27 @@ impl Engine<'_> {
     /// The path replaces the content.
     fn record_unreadable(&self, path: &Path, error: &io::Error) -> Result<LogResult, Trouble> {
         let task = self.task(path, &unreadable_id(path), FileState { bytes: 0, mtime_ns: 0 });
-        let trouble = Trouble {
-            kind: TroubleKind::Log,
-            what: format!("cannot be read: {error}"),
-            place: task.path.clone(),
-            remedy: "make it readable and run again".to_owned(),
-        };
+        let what = format!("cannot be read: {error}");
+        let trouble = Trouble::log(&task.path, what, "make it readable and run again");
         let answer = store_failure(&task, Status::Unreadable, &trouble, self.call.store)?;
         Ok(LogResult::New(answer, Some(trouble)))
     }
 
-    fn timeout_trouble(&self) -> Trouble {
+    fn timeout_trouble(&self, task: &Task) -> Trouble {
         let seconds = self.call.limits.time.unwrap_or_default().as_secs_f64();
         let what = format!("the audit took longer than {seconds} s");
-        let remedy = "raise --timeout and run again with --retry".to_owned();
-        Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
+        Trouble::log(&task.path, what, "raise --timeout and run again with --retry")
     }
 
-    fn memory_trouble(&self) -> Trouble {
+    fn memory_trouble(&self, task: &Task) -> Trouble {
         let mebibytes = self.call.limits.memory_bytes.unwrap_or_default() >> 20;
         let what = format!("the audit needed more than {mebibytes} MiB of memory");
-        let remedy = "raise --memory and run again with --retry".to_owned();
-        Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
+        Trouble::log(&task.path, what, "raise --memory and run again with --retry")
     }
 
     fn call_trouble(&self, what: String) -> Trouble {
-        let place = self.call.store.path().display().to_string();
-        let remedy = "fix this and run again; finished logs are kept".to_owned();
-        Trouble { kind: TroubleKind::Call, what, place, remedy }
+        let remedy = "fix this and run again; finished logs are kept";
+        Trouble::call(self.call.store.path().display(), what, remedy)
     }
 
     /// Records the outcome of a log, and saves and merges tables at intervals.

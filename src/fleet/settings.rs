@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::Options;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::robot::catalogue;
 
 /// Settings of an audit.
@@ -33,13 +33,11 @@ impl AuditSettings {
             let model = match file.is_file() {
                 true => file_hash(file)?,
                 false if catalogue::find(&robot.model).is_none() => {
-                    return Err(Trouble {
-                        kind: TroubleKind::Call,
-                        what: "neither a file nor an arm of the catalogue".to_owned(),
-                        place: robot.model.clone(),
-                        remedy: "name a URDF or TOML file, or an arm of `poseaudit robots`"
-                            .to_owned(),
-                    });
+                    return Err(Trouble::call(
+                        &robot.model,
+                        "neither a file nor an arm of the catalogue",
+                        "name a URDF or TOML file, or an arm of `poseaudit robots`",
+                    ));
                 }
                 false => robot.model.clone(),
             };
@@ -82,11 +80,9 @@ impl AuditSettings {
 }
 
 fn file_hash(path: &Path) -> Result<String, Trouble> {
-    let bytes = fs::read(path).map_err(|error| Trouble {
-        kind: TroubleKind::Call,
-        what: format!("cannot be read: {error}"),
-        place: path.display().to_string(),
-        remedy: "name a readable file".to_owned(),
+    let bytes = fs::read(path).map_err(|error| {
+        let what = format!("cannot be read: {error}");
+        Trouble::call(path.display(), what, "name a readable file")
     })?;
     Ok(format!("blake3:{}", blake3::hash(&bytes).to_hex()))
 }

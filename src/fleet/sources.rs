@@ -6,7 +6,7 @@ use walkdir::{DirEntry, WalkDir};
 
 use super::content::LogContent;
 use crate::log::{self, RemoteObject, SourceName};
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 
 /// Location of one log.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -215,13 +215,13 @@ fn has_log_suffix(name: &str) -> bool {
 
 fn source_trouble(place: &str, what: String) -> Trouble {
     let remedy = "name logs, folders of logs, a pattern in quotes, or - for a list on stdin";
-    let place = SourceName::from_path(Path::new(place)).to_string();
-    Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
+    Trouble::call(SourceName::from_path(Path::new(place)), what, remedy)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::TroubleKind;
 
     fn names(found: &[LogSource], folder: &Path) -> Vec<String> {
         let inside = |source: &LogSource| source.path.strip_prefix(folder).map(Path::to_owned);

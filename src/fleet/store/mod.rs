@@ -21,7 +21,7 @@ use super::dataset::SharedMapping;
 use super::settings::AuditSettings;
 use super::task::AuditAnswer;
 pub use super::task::Status;
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 
 pub(super) use frames::count_findings;
 pub use frames::{LogRows, RunRow, Tables};
@@ -100,7 +100,6 @@ impl StoreError {
 
 impl From<StoreError> for Trouble {
     fn from(error: StoreError) -> Self {
-        let place = error.path().display().to_string();
         let (what, remedy) = match &error {
             StoreError::File { source, .. } => (
                 format!("cannot be read or written: {source}"),
@@ -114,7 +113,7 @@ impl From<StoreError> for Trouble {
                 "delete the file and run again; its logs are then audited again",
             ),
         };
-        Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
+        Trouble::call(error.path().display(), what, remedy)
     }
 }
 
