@@ -11,7 +11,7 @@ use poseaudit::run::RobotSource;
 use poseaudit::{Audited, Options};
 use serde::Deserialize;
 
-use crate::{Answer, misuse};
+use crate::Answer;
 
 /// An audit request.
 #[derive(Debug, Deserialize)]
@@ -128,5 +128,5 @@ impl AuditRequest {
 
 fn text(name: &Path, content: &Bytes) -> Result<String, Trouble> {
     let text = String::from_utf8(content.to_vec());
-    text.map_err(|_| misuse(&name.display().to_string(), "it is not text", "save it as UTF-8"))
+    text.map_err(|_| Trouble::call(name.display(), "it is not text", "save it as UTF-8"))
 }

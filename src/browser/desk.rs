@@ -11,7 +11,7 @@ use poseaudit::report::Trouble;
 use poseaudit::run::load_robot;
 use serde::Deserialize;
 
-use crate::{Answer, misuse};
+use crate::Answer;
 
 /// Request with pasted poses.
 #[derive(Debug, Deserialize)]
@@ -62,7 +62,7 @@ pub fn answer(request: &PoseRequest) -> Result<Answer, Trouble> {
 }
 
 fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
-    move |error| misuse(place, &error, error.remedy())
+    move |error| Trouble::call(place, &error, error.remedy())
 }
 
 fn write_text(write: impl FnOnce(&mut dyn io::Write) -> io::Result<()>) -> String {

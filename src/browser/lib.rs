@@ -51,8 +51,3 @@ pub fn answer(question: &str, files: Vec<Bytes>, progress: Progress) -> Answer {
 fn refused(trouble: &Trouble) -> Answer {
     Answer { status: 2, error: Some(trouble.to_string()), ..Answer::default() }
 }
-
-fn misuse(place: &str, what: impl ToString, remedy: &str) -> Trouble {
-    let (what, place, remedy) = (what.to_string(), place.to_owned(), remedy.to_owned());
-    Trouble { kind: poseaudit::report::TroubleKind::Call, what, place, remedy }
-}

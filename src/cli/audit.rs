@@ -165,7 +165,7 @@ impl Args {
         let baseline_written = match (&self.write_baseline, Format::from_name("json")) {
             (Some(path), _) if report.error.is_some() => {
                 let what = "not written: a log that could not be audited cannot be a baseline";
-                Err(misuse(path.display().to_string(), what, "see the error of the audit"))
+                Err(misuse(path.display(), what, "see the error of the audit"))
             }
             (Some(path), Some(format)) => reports::emit(format, report, Some(path)),
             _ => Ok(()),
@@ -178,9 +178,9 @@ impl Args {
 /// Mesh folders must exist, and a recording must be written.
 fn check_mesh_roots(args: &Args) -> Result<(), Trouble> {
     if let Some(missing) = args.mesh_roots.iter().find(|root| !root.is_dir()) {
-        let place = missing.display().to_string();
         let what = if missing.exists() { "not a folder" } else { "no such folder" };
-        return Err(misuse(place, what, "name the folder of the robot's meshes with --mesh-root"));
+        let remedy = "name the folder of the robot's meshes with --mesh-root";
+        return Err(misuse(missing.display(), what, remedy));
     }
     if !args.mesh_roots.is_empty() && args.rrd.is_none() && !args.view {
         let what = "meshes are only used in a recording";
@@ -195,14 +195,12 @@ fn read_base(args: &Args) -> Result<Option<BaseRecording>, Trouble> {
     if args.rrd.is_none() && !args.view {
         return Err(misuse("--rrd-layer", "no recording is written", "add --rrd FILE or --view"));
     }
-    let place = path.display().to_string();
     let remedy = "name a recording of the log, such as one that `rerun mcap convert` wrote";
-    let base = BaseRecording::read(path)
-        .map_err(|error| misuse(place.clone(), error.to_string(), remedy))?;
+    let base = BaseRecording::read(path).map_err(|error| misuse(path.display(), error, remedy))?;
     if base.shared_timeline().is_none() {
         let names = base.timelines.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
         return Err(misuse(
-            place,
+            path.display(),
             format!("its timelines are not those of a log: {names}"),
             remedy,
         ));

@@ -71,11 +71,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     poseaudit::output::calibration::register_outputs(&out, &mut places);
     places.check()?;
     if out.exists() && !out.is_dir() {
-        return Err(misuse(
-            out.display().to_string(),
-            "is not a folder",
-            "name a folder with --out",
-        ));
+        return Err(misuse(out.display(), "is not a folder", "name a folder with --out"));
     }
     let options = audit_options.into_options()?;
     let options = with(options);

@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     }
     let status = command.status().map_err(|error| {
         let what = format!("cannot be started: {error}");
-        misuse(program.display().to_string(), what, "install the package again")
+        misuse(program.display(), what, "install the package again")
     })?;
     Ok(match status.code() {
         Some(0) => Outcome::Clean,

@@ -91,14 +91,14 @@ pub(super) fn chain(
         let name = given.or(usual.as_deref());
         name.map(|name| robot.link_or_nearest(name))
             .transpose()
-            .map_err(|error| misuse(option, error.to_string(), "name a link of the model"))
+            .map_err(|error| misuse(option, error, "name a link of the model"))
     };
     let base = link("--base", base, &robot.default_base)?.unwrap_or_else(|| robot.root());
     let tip = link("--tip", tip, &robot.default_tip)?;
     let tip = tip.or_else(|| robot.leaf_links().last()).unwrap_or(base);
-    robot.chain(base, tip).map_err(|error| {
-        misuse("--tip", error.to_string(), "name two links with joints between them")
-    })
+    robot
+        .chain(base, tip)
+        .map_err(|error| misuse("--tip", error, "name two links with joints between them"))
 }
 
 fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
@@ -130,7 +130,7 @@ fn warn_of_degrees(chain: &Chain, q: &[f64], args: &Args) {
 
 fn convert_file(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Trouble> {
     let trouble = |option: &str, TableError { path, cause }: TableError| {
-        misuse(path.display().to_string(), cause, format!("see {option} in `poseaudit fk --help`"))
+        misuse(path.display(), cause, format!("see {option} in `poseaudit fk --help`"))
     };
     let read =
         Configurations::read(file, chain, args.deg).map_err(|error| trouble("--file", error))?;

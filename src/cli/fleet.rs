@@ -268,7 +268,7 @@ fn worker_command() -> io::Result<process::Command> {
 
 fn run_worker(options: &Options, store: &Store, with_pages: bool) -> Result<Outcome, Trouble> {
     serve(options, store, with_pages)
-        .map_err(|error| misuse("--worker", error.to_string(), "this option is internal"))?;
+        .map_err(|error| misuse("--worker", error, "this option is internal"))?;
     Ok(Outcome::Clean)
 }
 

@@ -82,9 +82,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     let Some(store) = Store::open(&args.folder) else {
-        let place = args.folder.display().to_string();
         let what = "no fleet results in this folder";
-        return Err(misuse(place, what, "name the folder written by `poseaudit fleet --out`"));
+        let remedy = "name the folder written by `poseaudit fleet --out`";
+        return Err(misuse(args.folder.display(), what, remedy));
     };
     let question = FleetQuery {
         fail_on: args.fail_on.into(),

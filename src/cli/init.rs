@@ -47,7 +47,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let Args { logs, output, columns, all, schema } = args;
     if let Some(path) = output.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
         let what = "exists already and is not overwritten";
-        return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
+        return Err(misuse(path.display(), what, "name another --output, or move it"));
     }
     let mut places = PathRegistry::default();
     logs.iter().for_each(|log| places.add_log(log));

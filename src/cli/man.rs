@@ -49,9 +49,8 @@ struct Page {
 fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
     let man = Man::new(command.clone());
     let mut text = Vec::new();
-    man.render(&mut text).map_err(|error: io::Error| {
-        super::misuse("man", error.to_string(), "report this as a bug")
-    })?;
+    man.render(&mut text)
+        .map_err(|error: io::Error| super::misuse("man", error, "report this as a bug"))?;
     let mut all = vec![Page { name: man.get_filename(), text }];
     for below in command.get_subcommands() {
         all.extend(pages(below)?);

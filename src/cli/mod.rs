@@ -29,6 +29,7 @@ mod tf;
 mod view;
 mod watch;
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use clap::error::ErrorKind;
@@ -216,9 +217,8 @@ fn fault_line(what: &str) -> String {
     )
 }
 
-fn misuse(place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) -> Trouble {
-    let kind = TroubleKind::Call;
-    Trouble { kind, what: what.into(), place: place.into(), remedy: remedy.into() }
+fn misuse(place: impl Display, what: impl Display, remedy: impl Display) -> Trouble {
+    Trouble::call(place, what, remedy)
 }
 
 #[cfg(test)]

@@ -93,8 +93,8 @@ pub fn emit_unescaped(
             _ => Ok(()),
         },
         Some(path) => write(&mut text).and_then(|()| to_file(path, &text)).map_err(|error| {
-            let place = path.display().to_string();
-            super::misuse(place, format!("cannot be written: {error}"), "name another --output")
+            let what = format!("cannot be written: {error}");
+            super::misuse(path.display(), what, "name another --output")
         }),
     }
 }

@@ -272,7 +272,7 @@ fn check_motion(args: &Args, arm: &PlannedArm, file: &Path) -> Result<Outcome, T
     let precision =
         plan::expected_precision(&arm.chain, &motion, purpose, sensing).ok_or_else(|| {
             let what = "its points are more than 2 s apart; the motion between them is unknown";
-            misuse(file.display().to_string(), what, "provide at least 10 points per second")
+            misuse(file.display(), what, "provide at least 10 points per second")
         })?;
     let checked = setup::MotionCheck::new(arm, &task, &motion, precision);
     let format = args.format.or_else(|| Format::from_extension(args.output.as_deref()?));

@@ -51,9 +51,8 @@ impl ReportOptions {
                 Err(misuse("--format", what, "name a folder with --output DIR"))
             }
             (Some(path), _) if path.exists() && !path.is_dir() => {
-                let place = path.display().to_string();
                 let what = "several formats need a folder, and this is a file";
-                Err(misuse(place, what, "name a folder with --output, or one --format"))
+                Err(misuse(path.display(), what, "name a folder with --output, or one --format"))
             }
             (Some(_), _) => Ok(()),
         }

@@ -101,9 +101,10 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     })?;
     let options = RunOptions { robots: args.robots.clone(), ..RunOptions::default() };
     let run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
-    let path = run.tf.path(&args.target, &args.source, |_| true).map_err(|error| {
-        misuse("tf", error.to_string(), "see `poseaudit info` for the frames of the log")
-    })?;
+    let path = run
+        .tf
+        .path(&args.target, &args.source, |_| true)
+        .map_err(|error| misuse("tf", error, "see `poseaudit info` for the frames of the log"))?;
     if path.span().is_some_and(|(first, last)| first > last) {
         let what = "the transforms between the two are never all known at the same time";
         let remedy = "see `poseaudit info` for when each topic begins and ends";

@@ -1,5 +1,6 @@
 //! Finds the Rerun viewer and opens one recording or a sequence.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::{env, fs, io};
@@ -59,8 +60,8 @@ pub fn open<'a>(
     })
 }
 
-fn start_trouble(viewer: &Path, error: &io::Error, remedy: impl Into<String>) -> Trouble {
-    misuse(viewer.display().to_string(), format!("the viewer cannot be started: {error}"), remedy)
+fn start_trouble(viewer: &Path, error: &io::Error, remedy: impl Display) -> Trouble {
+    misuse(viewer.display(), format!("the viewer cannot be started: {error}"), remedy)
 }
 
 /// Viewer for a sequence of recordings: the one listening on a local port, or a new one.

@@ -77,8 +77,8 @@ enum Until {
 
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if !args.path.exists() {
-        let place = args.path.display().to_string();
-        return Err(misuse(place, "no such file or folder", "start the watch after the recorder"));
+        let remedy = "start the watch after the recorder";
+        return Err(misuse(args.path.display(), "no such file or folder", remedy));
     }
     let mut places = PathRegistry::default();
     places.add_log(&args.path);

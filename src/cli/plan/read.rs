@@ -21,16 +21,16 @@ struct MotionTable {
 /// from the content. Fails if it is none of these or lacks a joint.
 pub fn read_motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
     const MAX_BYTES: u64 = 256 << 20;
-    let place = || path.display().to_string();
+    let place = path.display();
     let bytes = std::fs::metadata(path).map(|it| it.len()).unwrap_or(0);
     if bytes > MAX_BYTES {
-        return Err(misuse(place(), "too large for a motion", "use a shorter one"));
+        return Err(misuse(&place, "too large for a motion", "use a shorter one"));
     }
     let text = std::fs::read_to_string(path)
-        .map_err(|error| misuse(place(), error.to_string(), "name a file with a motion"))?;
+        .map_err(|error| misuse(&place, error, "name a file with a motion"))?;
     let misread = |what: String| {
         misuse(
-            place(),
+            &place,
             what,
             "write it as CSV (t_s and a column for each joint), as JSON of `poseaudit plan`, or as a \
              JointTrajectory in YAML",
