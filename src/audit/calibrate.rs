@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Options;
+use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::fixed_point::{
     self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
@@ -12,7 +13,7 @@ use crate::checks::{
 };
 use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, FrameFreedom, PointDistance,
-    PoseDiagnosis, PoseEncoding, StreamCalibration, calibrate_arm,
+    StreamCalibration, calibrate_arm,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
@@ -21,52 +22,10 @@ use crate::places::PathRegistry;
 use crate::report::{PlanInputs, Trouble, TroubleKind, plan_command};
 use crate::robot::Robot;
 use crate::run::{Arm, PoseSource, PoseSourceKind, Run, load_robot};
-use crate::stream::JointTrack;
 
 /// Larger frame offsets are not link deviations, m and rad.
 const MAX_DEVIATION_M: f64 = 10e-3;
 const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Meaning of a stream's samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measurement {
-    /// Measured poses.
-    Pose,
-    /// One of the points on the tool that an external sensor measures.
-    Point,
-    /// A point of the tool at one place, without a sensor.
-    FixedPoint,
-}
-
-/// Stream as calibration input.
-#[derive(Clone, Debug)]
-pub struct CalibrationInput {
-    /// File.
-    pub log: PathBuf,
-    /// Topic, or its substitute for a table.
-    pub topic: String,
-    /// Source of the poses.
-    pub source_kind: PoseSourceKind,
-    /// Meaning of its samples.
-    pub measurement: Measurement,
-    /// Encoding of the rotations if not the log's.
-    pub encoding: Option<String>,
-    /// Base link.
-    pub base: String,
-    /// Tip link.
-    pub tip: String,
-    pub(super) joints: JointTrack,
-    pub(super) columns: Vec<usize>,
-    pub(super) t_s: Vec<f64>,
-    pub(super) poses: Vec<Pose>,
-    pub(super) is_rotation_excluded: bool,
-    pub(super) latency_s: Option<f64>,
-    pub(super) skew: f64,
-    pub(super) reference: Pose,
-    pub(super) is_reference_free: bool,
-    pub(super) tool: Pose,
-    pub(super) is_tool_free: bool,
-    pub(super) zeros: Vec<String>,
-}
 
 /// Result of a calibration.
 #[derive(Debug)]
@@ -94,13 +53,6 @@ pub struct CalibrationResult {
     pub(crate) read: PathRegistry,
 }
 
-impl CalibrationInput {
-    /// The rotations carry no information.
-    pub fn is_rotation_excluded(&self) -> bool {
-        self.is_rotation_excluded
-    }
-}
-
 impl CalibrationResult {
     /// The controller only yields its own kinematics, not the arm's.
     pub fn source_kind(&self) -> PoseSourceKind {
@@ -111,11 +63,6 @@ impl CalibrationResult {
             _ => PoseSourceKind::Unknown,
         }
     }
-}
-
-pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Trouble {
-    let place = place.display().to_string();
-    Trouble { kind: TroubleKind::Log, what: what.into(), place, remedy: remedy.to_owned() }
 }
 
 /// Calibrates the arm of `options.logs`, each a separate run, without writing files. `topic` restricts the
@@ -210,14 +157,9 @@ fn calibrate_inputs(
         })?;
     let distances = distances(&streams, distance_m);
     if distance_m.is_some() && distances.is_empty() {
-        let what = "no folder has exactly two files of fixed points".to_owned();
+        let what = "no folder has exactly two files of fixed points";
         let remedy = "put the two files of a tool into one folder, or omit --distance";
-        return Err(Trouble {
-            kind: TroubleKind::Call,
-            what,
-            place: "--distance".to_owned(),
-            remedy: remedy.to_owned(),
-        });
+        return Err(Trouble::call("--distance", what, remedy));
     }
     left_out.extend(streams.iter().zip(&calibration.streams).filter_map(|(stream, found)| {
         let rows = (stream.measurement == Measurement::FixedPoint)
@@ -396,8 +338,6 @@ fn calibrate_streams(
     Ok((joints, found))
 }
 
-pub(super) type LogInputs = (Robot, Vec<CalibrationInput>, Vec<String>);
-
 fn inputs_from_log(
     path: &Path,
     options: &Options,
@@ -498,19 +438,10 @@ fn input_from_stream(
     let reference_is_free = !source.reference_known || !is_small(&frames.reference);
     let tool_is_free = (is_outside && !source.tip_named) || !is_small(&frames.tool);
     let kept = |frame: Pose, is_free: bool| if is_free { frame } else { Pose::identity() };
+    let joints = unzeroed.corrected_joints(&arm.joints, &arm.are_prismatic());
+    let joints = (joints, source.columns.clone());
     Ok(CalibrationInput {
-        log: path.to_path_buf(),
-        topic: topic.to_owned(),
         source_kind: found.source_kind,
-        measurement: Measurement::Pose,
-        encoding: encoding_name(diagnosis),
-        base: source.chain.base_name().to_owned(),
-        tip: source.chain.tip_name().to_owned(),
-        joints: unzeroed.corrected_joints(&arm.joints, &arm.are_prismatic()),
-        columns: source.columns.clone(),
-        t_s: diagnosis.aligned.t_s.clone(),
-        poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-        is_rotation_excluded: diagnosis.encoding.is_err(),
         latency_s: diagnosis.latency_s.as_ref().ok().map(|latency| latency.value),
         skew: diagnosis.chosen_skew(),
         reference: kept(frames.reference, reference_is_free),
@@ -518,21 +449,6 @@ fn input_from_stream(
         tool: kept(frames.tool, tool_is_free),
         is_tool_free: tool_is_free,
         zeros,
+        ..CalibrationInput::new(path, topic.to_owned(), &source.chain, joints, diagnosis)
     })
-}
-
-pub(super) fn encoding_name(found: &PoseDiagnosis) -> Option<String> {
-    let reading = match found.encoding.as_ref().ok()?.best {
-        PoseEncoding::AsLogged => return None,
-        PoseEncoding::Misinterpreted(class) => {
-            let misreading = class.members.first()?;
-            format!("{} read as {}", misreading.is, misreading.read_as)
-        }
-        PoseEncoding::QuaternionOrder(_) => "quaternion components in the other order".to_owned(),
-        PoseEncoding::Transposed => "transposed".to_owned(),
-        PoseEncoding::Inverted => "inverted".to_owned(),
-        PoseEncoding::Numbers(convention) => convention.to_string(),
-    };
-    let unit = if found.degrees.is_some() { ", in degrees" } else { "" };
-    Some(format!("{reading}{unit}"))
 }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use super::Options;
-use super::calibrate::{CalibrationInput, LogInputs, Measurement, trouble};
+use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::tables::{MIN_ROWS, dropped_rows, joint_track, named_chain, numbers_suffice, row_times};
 use crate::checks::{is_point_moved, max_row_error_m};
 use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance, StreamCalibration, value_range};

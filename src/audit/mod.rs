@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod any_log;
 mod calibrate;
+mod calibration_input;
 mod demo;
 mod fixed_point;
 mod missing_rate;
@@ -23,9 +24,8 @@ use crate::run::{
     Arm, Cut, Excerpts, Run, RunOptions, Segment, align_table_clocks, identify_columns, segments,
 };
 
-pub use calibrate::{
-    CalibrationInput, CalibrationResult, Measurement, calibrate, calibrate_at_fixed_points,
-};
+pub use calibrate::{CalibrationResult, calibrate, calibrate_at_fixed_points};
+pub use calibration_input::{CalibrationInput, Measurement};
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
 pub(crate) use missing_rate::open;
 pub use options::{Options, Policy};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::Options;
-use super::calibrate::{CalibrationInput, LogInputs, Measurement, encoding_name, trouble};
+use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::missing_rate::columns_of_configurations;
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
@@ -11,9 +11,9 @@ use crate::log::{
     CalibrationTable, LogError, NumberTable, RotationColumns, read_calibration_table,
     read_calibration_tables,
 };
-use crate::report::{Trouble, TroubleKind};
+use crate::report::Trouble;
 use crate::robot::{Chain, LinkId, Robot};
-use crate::run::{PoseSourceKind, RunOptions};
+use crate::run::RunOptions;
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Tables have no times: rows are 1 s apart, with the arm at rest for half of it.
@@ -110,30 +110,16 @@ impl ConfigurationTable {
             if let Some(what) = why_not {
                 return Err(trouble(path, what, "check that --robot is the arm's model"));
             }
-            let frames = &diagnosis.frame_correction;
-            let several = poses.len() > 1;
-            inputs.push(CalibrationInput {
-                log: path.to_path_buf(),
-                topic: if several { format!("point {}", point + 1) } else { "rows".to_owned() },
-                source_kind: PoseSourceKind::External,
-                measurement: if several { Measurement::Point } else { Measurement::Pose },
-                encoding: encoding_name(diagnosis),
-                base: chain.base_name().to_owned(),
-                tip: chain.tip_name().to_owned(),
-                joints: joints.clone(),
-                columns: columns.clone(),
-                t_s: diagnosis.aligned.t_s.clone(),
-                poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-                is_rotation_excluded: diagnosis.encoding.is_err(),
-                latency_s: None,
-                skew: 0.0,
-                // All points are measured in one frame.
-                reference: inputs.first().map_or(frames.reference, |first| first.reference),
-                is_reference_free: true,
-                tool: frames.tool,
-                is_tool_free: true,
-                zeros: Vec::new(),
-            });
+            let (topic, measurement) = match poses.len() {
+                1 => ("rows".to_owned(), Measurement::Pose),
+                _ => (format!("point {}", point + 1), Measurement::Point),
+            };
+            let joints = (joints.clone(), columns.clone());
+            let mut input = CalibrationInput::new(path, topic, &chain, joints, diagnosis);
+            input.measurement = measurement;
+            // All points are measured in one frame.
+            input.reference = inputs.first().map_or(input.reference, |first| first.reference);
+            inputs.push(input);
         }
         Ok((robot, inputs, dropped_rows(numbers).into_iter().collect()))
     }
@@ -146,10 +132,7 @@ pub(super) fn named_chain(
     options: &RunOptions,
     joint_count: Option<usize>,
 ) -> Result<(Robot, Chain), Trouble> {
-    let call = |what: String, remedy: &str| {
-        let kind = TroubleKind::Call;
-        Trouble { kind, ..trouble(path, what, remedy) }
-    };
+    let call = |what: String, remedy: &str| Trouble::call(path.display(), what, remedy);
     let [named] = options.robots.as_slice() else {
         let what = "a table of configurations does not identify the arm".to_owned();
         return Err(call(what, "name its model with --robot"));
