@@ -9,9 +9,11 @@ use std::fs::{self, Metadata};
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use crate::config::FILE_NAME;
 use crate::log;
 use crate::report::{Trouble, is_descriptor, resolve_local_link};
+
+/// Default file name of a config.
+pub const CONFIG_FILE_NAME: &str = "poseaudit.toml";
 
 /// Files and folders of a call.
 #[derive(Clone, Debug, Default)]
@@ -217,7 +219,9 @@ impl InputFolder {
                 self.input_conflict(place)
             }
             // A config next to the log is no part of the log.
-            FolderContent::Log if place.path.ends_with(FILE_NAME) && *kind == OutputKind::File => {
+            FolderContent::Log
+                if place.path.ends_with(CONFIG_FILE_NAME) && *kind == OutputKind::File =>
+            {
                 None
             }
             FolderContent::Log if is_inside => {

@@ -26,12 +26,10 @@ use crate::run::{
 
 use self::file::{ByPrefix, ConfigFile, Ignore, Stream};
 
+pub use crate::places::CONFIG_FILE_NAME as FILE_NAME;
 pub use file::{ClockName, FailOn};
 pub use schema::schema;
 pub use template::template;
-
-/// Default file name.
-pub const FILE_NAME: &str = "poseaudit.toml";
 
 /// A parsed config.
 #[derive(Clone, Debug)]
