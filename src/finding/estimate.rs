@@ -123,48 +123,32 @@ impl Estimate {
 
     /// An estimate of a scalar.
     pub fn scalar(name: &'static str, unit: Unit, measured: &Measured) -> Self {
-        Estimate::Scalar {
-            name,
-            value: measured.value,
-            unit: unit.symbol(),
-            ci95: unit.interval95(measured),
-            change: None,
-            joint: JointRelation::default(),
-        }
+        Self::new_scalar(name, unit.symbol(), measured.value, unit.interval95(measured))
     }
 
     /// A scalar that was counted rather than estimated, so it has no interval.
     pub fn exact(name: &'static str, unit: &'static str, value: f64) -> Self {
-        Estimate::Scalar {
-            name,
-            value,
-            unit,
-            ci95: None,
-            change: None,
-            joint: JointRelation::default(),
-        }
+        Self::new_scalar(name, unit, value, None)
     }
 
     /// An estimate of a length, which cannot be negative.
     pub fn length(name: &'static str, unit: Unit, length: &MeasuredLength) -> Self {
-        let MeasuredLength { norm, .. } = length;
-        let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
-        let (value, unit) = (norm.value, unit.symbol());
+        let norm = &length.norm;
+        Self::new_scalar(name, unit.symbol(), norm.value, interval_of_norm(unit, norm))
+    }
+
+    fn new_scalar(name: Word, unit: Word, value: f64, ci95: Option<[f64; 2]>) -> Self {
         Estimate::Scalar { name, value, unit, ci95, change: None, joint: JointRelation::default() }
     }
 
     /// An estimate of a length in m and an angle in rad; neither can be negative.
     pub fn frame(name: &'static str, length: &Measured, angle: &Measured) -> Self {
-        let of_norm = |ends: [f64; 2]| ends.map(|end| end.max(0.0));
         Estimate::Frame {
             name,
             value: length.value,
             unit: Unit::Metre.symbol(),
-            ci95: Unit::Metre.interval95(length).map(of_norm),
-            rotation: Angle {
-                value: angle.value,
-                ci95: Unit::Radian.interval95(angle).map(of_norm),
-            },
+            ci95: interval_of_norm(Unit::Metre, length),
+            rotation: Angle { value: angle.value, ci95: interval_of_norm(Unit::Radian, angle) },
             change: None,
         }
     }
@@ -206,6 +190,11 @@ impl Estimate {
             | Estimate::Order { .. } => None,
         }
     }
+}
+
+/// 95 % interval of a quantity that cannot be negative.
+fn interval_of_norm(unit: Unit, norm: &Measured) -> Option<[f64; 2]> {
+    Some(unit.interval95(norm)?.map(|end| end.max(0.0)))
 }
 
 /// Further properties of a joint's error.

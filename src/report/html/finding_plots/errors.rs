@@ -2,7 +2,7 @@
 
 use super::FindingContext;
 use crate::checks::MDL001;
-use crate::finding::{Cause, Estimate, Unit};
+use crate::finding::{Cause, Unit};
 use crate::report::Report;
 use crate::report::figures::{ImuFigure, LatencyProfilePoint, PoseFigure};
 use crate::report::html::plane::{Dot, Plane};
@@ -113,10 +113,7 @@ impl FindingContext<'_> {
     }
 
     fn change_mark(&self) -> Option<PlotMark> {
-        let change = match self.finding.estimate.as_ref()? {
-            Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
-            _ => return None,
-        };
+        let change = self.finding.estimate.as_ref()?.change()?;
         let start = self.figures.start?;
         let since = |stamp: Stamp| stamp.seconds_since(start);
         Some(PlotMark {
