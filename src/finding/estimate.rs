@@ -104,6 +104,38 @@ impl Estimate {
         }
     }
 
+    /// The scalar, or the length and the angle; none of a misinterpretation.
+    pub(crate) fn amounts(&self) -> Vec<Amount> {
+        match *self {
+            Estimate::Scalar { name, value, unit: symbol, ci95, .. } => {
+                vec![Amount { name, symbol, value, ci95 }]
+            }
+            Estimate::Frame { name, value, unit: symbol, ci95, rotation, .. } => {
+                let Angle { value: angle, ci95: angle_ci95 } = rotation;
+                let radian = Unit::Radian.symbol();
+                vec![
+                    Amount { name, symbol, value, ci95 },
+                    Amount { name, symbol: radian, value: angle, ci95: angle_ci95 },
+                ]
+            }
+            Estimate::Convention { .. }
+            | Estimate::Misinterpretation { .. }
+            | Estimate::Order { .. } => Vec::new(),
+        }
+    }
+
+    /// What the numbers are, and as what they were read; `None` for amounts.
+    pub(crate) fn interpretation(&self) -> Option<[String; 2]> {
+        match self {
+            Estimate::Scalar { .. } | Estimate::Frame { .. } => None,
+            Estimate::Convention { is, read_as, .. } => Some([is.clone(), read_as.clone()]),
+            Estimate::Misinterpretation { is, read_as, .. } => {
+                Some([is.to_string(), read_as.to_string()])
+            }
+            Estimate::Order { is, read_as, .. } => Some([is.join(", "), read_as.join(", ")]),
+        }
+    }
+
     /// Actual and assumed convention; `None` for other estimates.
     pub fn convention(&self) -> Option<(&str, &str)> {
         match self {
@@ -189,6 +221,24 @@ impl Estimate {
             | Estimate::Misinterpretation { .. }
             | Estimate::Order { .. } => None,
         }
+    }
+}
+
+/// One amount of an estimate, in SI units.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Amount {
+    /// Name of the estimate.
+    pub name: Word,
+    /// SI symbol.
+    pub symbol: Word,
+    pub value: f64,
+    pub ci95: Option<[f64; 2]>,
+}
+
+impl Amount {
+    /// `None` if the symbol is unknown.
+    pub fn unit(&self) -> Option<Unit> {
+        Unit::from_symbol(self.symbol, self.name)
     }
 }
 

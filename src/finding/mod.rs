@@ -14,6 +14,7 @@ use crate::time::Stamp;
 pub use cause::{Cause, JointScaleCorrection, Picture};
 pub use deserialize::Word;
 pub(crate) use deserialize::{deserialize_number, deserialize_optional_word, deserialize_word};
+pub(crate) use estimate::Amount;
 pub use estimate::{Angle, Change, Estimate, Interpretation, JointRelation, RunnerUp};
 pub use unit::{Unit, rounded};
 

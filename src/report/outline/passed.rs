@@ -2,7 +2,7 @@
 
 use super::{Outline, RuleRows, code_ranges, group_by_key};
 use crate::checks;
-use crate::finding::{CheckRow, Estimate, Status, Unit};
+use crate::finding::{Amount, CheckRow, Status, Unit};
 use crate::report::amounts::format_amount;
 
 #[derive(Default)]
@@ -108,22 +108,19 @@ impl Outline<'_> {
         rows: &[&CheckRow],
         evaluated: usize,
     ) -> Option<AmountBound> {
-        let sizes: Vec<(f64, &Estimate)> = rows
+        let sizes: Vec<(f64, Vec<Amount>)> = rows
             .iter()
-            .filter_map(|row| Some((max_magnitude(row)?, row.estimate.as_ref()?)))
+            .filter_map(|row| Some((max_magnitude(row)?, row.estimate.as_ref()?.amounts())))
             .collect();
         let (_, largest) = sizes.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (name, units) = match largest {
-            Estimate::Scalar { name, unit, .. } => (*name, vec![Unit::from_symbol(unit, name)?]),
-            Estimate::Frame { name, .. } => (*name, vec![Unit::Metre, Unit::Radian]),
-            _ => return None,
-        };
-        let limits = units.into_iter().filter_map(|unit| {
-            Some(unit.show(self.report.warning_threshold(checks::find(code).ok()?, unit)?))
+        let rule = checks::find(code).ok();
+        let limits = largest.iter().filter_map(|amount| {
+            let unit = amount.unit()?;
+            Some(unit.show(self.report.warning_threshold(rule?, unit)?))
         });
         Some(AmountBound {
             code,
-            name,
+            name: largest.first()?.name,
             amount: format_bound(largest)?,
             limit: limits.collect::<Vec<_>>().join(", "),
             amounts: (sizes.len() > 1).then_some(sizes.len()),
@@ -143,34 +140,22 @@ impl<'a> RuleRows<'a> {
 }
 
 fn max_magnitude(row: &CheckRow) -> Option<f64> {
-    let (value, ci95) = match row.estimate.as_ref()? {
-        Estimate::Scalar { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
-            (*value, ci95)
-        }
-        _ => return None,
-    };
+    let Amount { value, ci95, .. } = *row.estimate.as_ref()?.amounts().first()?;
     let ends = ci95.iter().flatten().map(|end| end.abs());
     Some(ends.fold(value.abs(), f64::max)).filter(|size| size.is_finite())
 }
 
 /// Does not show values below the noise floor as zero.
-fn format_bound(estimate: &Estimate) -> Option<String> {
-    let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
-        let unit = Unit::from_symbol(symbol, name)?;
+fn format_bound(amounts: &[Amount]) -> Option<String> {
+    let shown = |amount: &Amount| {
+        let unit = amount.unit()?;
         let floor = unit.noise_floor().max(if unit == Unit::One { 1e-4 } else { 0.0 });
-        Some(match ci95 {
+        Some(match amount.ci95 {
             // Exactly zero, with unknown noise.
-            None if value == 0.0 => "none detected".to_owned(),
-            None if value.abs() < floor => format!("< {}", unit.show(floor)),
-            _ => format_amount(symbol, name, value, ci95),
+            None if amount.value == 0.0 => "none detected".to_owned(),
+            None if amount.value.abs() < floor => format!("< {}", unit.show(floor)),
+            _ => format_amount(amount),
         })
     };
-    match estimate {
-        Estimate::Scalar { name, value, unit, ci95, .. } => shown(unit, name, *value, *ci95),
-        Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
-            let angle = shown(Unit::Radian.symbol(), name, rotation.value, rotation.ci95)?;
-            Some(format!("{}, {angle}", shown(unit, name, *value, *ci95)?))
-        }
-        _ => None,
-    }
+    Some(amounts.iter().map(shown).collect::<Option<Vec<String>>>()?.join(", "))
 }
