@@ -104,6 +104,17 @@ impl Estimate {
         }
     }
 
+    /// Name of the quantity.
+    pub(crate) fn name(&self) -> Word {
+        match *self {
+            Estimate::Scalar { name, .. }
+            | Estimate::Frame { name, .. }
+            | Estimate::Convention { name, .. }
+            | Estimate::Misinterpretation { name, .. }
+            | Estimate::Order { name, .. } => name,
+        }
+    }
+
     /// The scalar, or the length and the angle; none of a misinterpretation.
     pub(crate) fn amounts(&self) -> Vec<Amount> {
         match *self {

@@ -3,7 +3,7 @@
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Serialize;
 
-use crate::finding::{CheckRow, Estimate, Finding, Subject};
+use crate::finding::{Amount, CheckRow, Estimate, Finding, Subject};
 use crate::report::WorkspaceRow;
 use crate::time::Stamp;
 
@@ -98,28 +98,21 @@ fn subject_columns<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 
 
 /// Value, interval and JSON of each estimate.
 fn estimate_columns<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
-    let (mut values, mut units, mut lows, mut highs, mut whole) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for estimate in estimates {
-        let number = match estimate {
-            Some(
-                Estimate::Scalar { value, unit, ci95, .. }
-                | Estimate::Frame { value, unit, ci95, .. },
-            ) => Some((*value, *unit, *ci95)),
-            _ => None,
-        };
-        values.push(number.map(|(value, ..)| value));
-        units.push(number.map(|(_, unit, _)| unit));
-        let interval = number.and_then(|(.., interval)| interval);
-        lows.push(interval.map(|[low, _]| low));
-        highs.push(interval.map(|[_, high]| high));
-        whole.push(estimate.map(as_json));
-    }
+    let estimates: Vec<Option<&Estimate>> = estimates.collect();
+    let first =
+        |estimate: &Option<&Estimate>| estimate.and_then(|it| it.amounts().first().copied());
+    let amounts: Vec<Option<Amount>> = estimates.iter().map(first).collect();
+    let number = |name: &str, of: fn(&Amount) -> Option<f64>| {
+        let numbers = amounts.iter().map(|amount| amount.as_ref().and_then(of));
+        Column::new(name.into(), numbers.collect::<Vec<Option<f64>>>())
+    };
+    let units: Vec<Option<&str>> = amounts.iter().map(|amount| Some((*amount)?.symbol)).collect();
+    let whole: Vec<Option<String>> = estimates.iter().map(|it| it.map(as_json)).collect();
     [
-        Column::new("value".into(), values),
+        number("value", |amount| Some(amount.value)),
         Column::new("unit".into(), units),
-        Column::new("ci95_low".into(), lows),
-        Column::new("ci95_high".into(), highs),
+        number("ci95_low", |amount| Some(amount.ci95?[0])),
+        number("ci95_high", |amount| Some(amount.ci95?[1])),
         Column::new("estimate_json".into(), whole),
     ]
 }

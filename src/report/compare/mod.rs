@@ -7,7 +7,7 @@ mod format;
 
 use serde::Serialize;
 
-use crate::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject, Word};
+use crate::finding::{Amount, CheckRow, Estimate, Finding, Severity, Status, Subject, Word};
 use crate::report::{Report, Verdict};
 
 pub use format::{markdown, text};
@@ -198,56 +198,27 @@ fn classify_change(old: &Finding, new: &Finding) -> ChangeKind {
 }
 
 fn compare_estimates(old: &Estimate, new: &Estimate) -> ChangeKind {
-    use Estimate::{Convention, Frame, Misinterpretation, Order, Scalar};
-    let name = |estimate: &Estimate| match estimate {
-        Scalar { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
-        Misinterpretation { name, .. } | Order { name, .. } => *name,
-    };
-    if name(old) != name(new) {
+    let (before, now) = (old.amounts(), new.amounts());
+    let units = |amounts: &[Amount]| -> Vec<Word> { amounts.iter().map(|it| it.symbol).collect() };
+    if old.name() != new.name()
+        || units(&before) != units(&now)
+        || old.interpretation() != new.interpretation()
+    {
         return ChangeKind::Changed;
     }
-    let kind = |is_same| if is_same { ChangeKind::Same } else { ChangeKind::Changed };
-    match (old, new) {
-        (
-            Scalar { unit, value, ci95, .. },
-            Scalar { unit: now, value: new, ci95: new_ci95, .. },
-        ) if unit == now => compare_amounts(*value, *ci95, *new, *new_ci95),
-        (
-            Frame { value, ci95, rotation, .. },
-            Frame { value: new, ci95: new_ci95, rotation: turned, .. },
-        ) => {
-            let length = compare_amounts(*value, *ci95, *new, *new_ci95);
-            let angle = compare_amounts(rotation.value, rotation.ci95, turned.value, turned.ci95);
-            // Worse in one component is worse overall.
-            match length.min(angle) {
-                ChangeKind::Same => length.max(angle),
-                kind => kind,
-            }
-        }
-        (Convention { is, read_as, .. }, Convention { is: now, read_as: new, .. }) => {
-            kind((is, read_as) == (now, new))
-        }
-        (
-            Misinterpretation { is, read_as, .. },
-            Misinterpretation { is: now, read_as: new, .. },
-        ) => kind((is, read_as) == (now, new)),
-        (Order { is, read_as, .. }, Order { is: now, read_as: new, .. }) => {
-            kind((is, read_as) == (now, new))
-        }
-        _ => ChangeKind::Changed,
-    }
+    let kinds = before.iter().zip(&now).map(|(before, now)| compare_amounts(before, now));
+    let kinds: Vec<ChangeKind> = kinds.collect();
+    // Worse in one component is worse overall.
+    let of_least = kinds.iter().min().filter(|kind| **kind != ChangeKind::Same);
+    *of_least.or(kinds.iter().max()).unwrap_or(&ChangeKind::Same)
 }
 
-fn compare_amounts(
-    old: f64,
-    old_ci95: Option<[f64; 2]>,
-    new: f64,
-    new_ci95: Option<[f64; 2]>,
-) -> ChangeKind {
-    let half = |value: f64, ci95: Option<[f64; 2]>| {
+fn compare_amounts(old: &Amount, new: &Amount) -> ChangeKind {
+    let half = |Amount { value, ci95, .. }: &Amount| {
         ci95.map_or(0.0, |[low, high]| (high - value).max(value - low))
     };
-    let halves = half(old, old_ci95) + half(new, new_ci95);
+    let halves = half(old) + half(new);
+    let (old, new) = (old.value, new.value);
     let is_material = |change: f64| change > halves && change >= MIN_RELATIVE_CHANGE * old.abs();
     match new.abs() - old.abs() {
         change if is_material(change) => ChangeKind::Grew,

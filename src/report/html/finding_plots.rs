@@ -9,7 +9,7 @@ use super::bars::{Bar, Bars, Whisker, Whiskers};
 use super::plane::Plane;
 use super::plot::{Plot, PlotLimit, PlotMark, PlotSeries, PlotStyle, SeriesRole};
 use crate::checks::{self, LAT001, Rule, YAW001, ZER001};
-use crate::finding::{Cause, CheckRow, Estimate, Finding, Picture, Status, Unit};
+use crate::finding::{Amount, Cause, CheckRow, Estimate, Finding, Picture, Status, Unit};
 use crate::geometry::RotationError;
 use crate::report::Report;
 use crate::report::figures::{EncodingScore, Figures, ImuFigure, PoseFigure};
@@ -384,28 +384,22 @@ impl FindingContext<'_> {
 
 fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     let label = row.subject.label();
-    let whisker = |what: &str, name: &str, value: f64, ci95, symbol: &str| {
-        let label = [label, what].into_iter().filter(|part| !part.is_empty());
+    let amounts = row.estimate.as_ref().map(Estimate::amounts).unwrap_or_default();
+    let names = match amounts.as_slice() {
+        [only] if label.is_empty() => [only.name, ""],
+        [_] => ["", ""],
+        _ => ["distance", "angle"],
+    };
+    let whisker = |(amount, name): (&Amount, &str)| {
+        let label = [label, name].into_iter().filter(|part| !part.is_empty());
         Some(Whisker {
             label: label.collect::<Vec<_>>().join(", "),
-            amount: Some((value, ci95, Unit::from_symbol(symbol, name)?)),
+            amount: Some((amount.value, amount.ci95, amount.unit()?)),
             is_fault: row.status == Status::Fail,
             limit: None,
         })
     };
-    let radian = Unit::Radian.symbol();
-    let amounts = match &row.estimate {
-        Some(Estimate::Scalar { name, value, ci95, unit, .. }) => {
-            let what = if label.is_empty() { name } else { "" };
-            vec![whisker(what, name, *value, *ci95, unit)]
-        }
-        Some(Estimate::Frame { name, value, ci95, unit, rotation, .. }) => vec![
-            whisker("distance", name, *value, *ci95, unit),
-            whisker("angle", name, rotation.value, rotation.ci95, radian),
-        ],
-        _ => Vec::new(),
-    };
-    amounts.into_iter().flatten().collect()
+    amounts.iter().zip(names).filter_map(whisker).collect()
 }
 
 fn heading_plot(imu: &ImuFigure) -> Plot {
