@@ -125,11 +125,9 @@ fn trend_plot(row: &TrendRow) -> Plot {
     };
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
     // A line does not describe a step.
-    let line = row.line.filter(|_| row.kind != TrendKind::Stepped).map(|[from, to]| PlotSeries {
-        label: "fit".to_owned(),
-        role: SeriesRole::Reference,
-        values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
-        half_widths: Vec::new(),
+    let line = row.line.filter(|_| row.kind != TrendKind::Stepped).map(|[from, to]| {
+        let values = x.iter().map(|day| (from + (to - from) * day / last) * factor);
+        PlotSeries::new("fit", SeriesRole::Reference, values)
     });
     let limits = match amounts.values.iter().all(|&value| value >= 0.0) {
         true => PlotLimit::upper(row.threshold, row.display_unit(), factor),

@@ -300,12 +300,11 @@ impl FindingContext<'_> {
             x: pose.residual_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
             y_label: unit,
-            series: vec![PlotSeries {
-                label: "residual".to_owned(),
-                role: SeriesRole::Amount,
-                values: pose.residual_by_latency.iter().map(|at| at[part] * factor).collect(),
-                half_widths: Vec::new(),
-            }],
+            series: vec![PlotSeries::new(
+                "residual",
+                SeriesRole::Amount,
+                pose.residual_by_latency.iter().map(|at| at[part] * factor),
+            )],
             from_zero: true,
             mark,
             limits: self.latency_limits(&LAT001, Unit::Second, 1e3),
@@ -324,12 +323,11 @@ impl FindingContext<'_> {
             x: imu.correlation_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
             y_label: "correlation",
-            series: vec![PlotSeries {
-                label: "correlation".to_owned(),
-                role: SeriesRole::Amount,
-                values: imu.correlation_by_latency.iter().map(|at| at[1]).collect(),
-                half_widths: Vec::new(),
-            }],
+            series: vec![PlotSeries::new(
+                "correlation",
+                SeriesRole::Amount,
+                imu.correlation_by_latency.iter().map(|at| at[1]),
+            )],
             from_zero: false,
             mark: self.latency_mark(&imu.topic),
             limits: self.latency_limits(&LAT001, Unit::Second, 1e3),
@@ -404,11 +402,8 @@ fn whiskers(row: &CheckRow) -> Vec<Whisker> {
 
 fn heading_plot(imu: &ImuFigure) -> Plot {
     let series = [(1, "IMU", SeriesRole::Before), (2, "FK", SeriesRole::Reference)];
-    let series = series.map(|(part, label, role)| PlotSeries {
-        label: label.to_owned(),
-        role,
-        values: imu.headings.iter().map(|at| at[part].to_degrees()).collect(),
-        half_widths: Vec::new(),
+    let series = series.map(|(part, label, role)| {
+        PlotSeries::new(label, role, imu.headings.iter().map(|at| at[part].to_degrees()))
     });
     Plot {
         title: "Heading by IMU and by FK",

@@ -71,6 +71,18 @@ pub struct PlotSeries {
     pub half_widths: Vec<f64>,
 }
 
+impl PlotSeries {
+    /// Without intervals.
+    pub fn new(
+        label: impl Into<String>,
+        role: SeriesRole,
+        values: impl IntoIterator<Item = f64>,
+    ) -> Self {
+        let values = values.into_iter().collect();
+        Self { label: label.into(), role, values, half_widths: Vec::new() }
+    }
+}
+
 /// Determines the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeriesRole {
@@ -182,7 +194,8 @@ impl Plot {
                 "label": series.label,
                 "role": series.role.name(),
                 "values": broken(&series.values, round_to_digits),
-                "half": half_widths_json(&series.half_widths, &broken),
+                "half": (!series.half_widths.is_empty())
+                    .then(|| broken(&series.half_widths, round_to_digits)),
                 "points": self.has_points(series),
             })
         });
@@ -278,13 +291,6 @@ impl Plot {
     }
 }
 
-fn half_widths_json(
-    half_widths: &[f64],
-    broken: &impl Fn(&[f64], fn(f64) -> f64) -> Vec<Value>,
-) -> Value {
-    if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, round_to_digits)) }
-}
-
 /// Four decimals.
 fn round_to_decimals(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
@@ -318,15 +324,10 @@ mod tests {
     use super::*;
 
     fn plot(rows: usize, step: impl Fn(usize) -> f64) -> Plot {
-        let values = (0..rows).map(|row| if row == rows / 3 { 7.5 } else { 1.0 }).collect();
+        let values = (0..rows).map(|row| if row == rows / 3 { 7.5 } else { 1.0 });
         Plot {
             x: (0..rows).map(step).collect(),
-            series: vec![PlotSeries {
-                label: "error".to_owned(),
-                role: SeriesRole::Before,
-                values,
-                half_widths: Vec::new(),
-            }],
+            series: vec![PlotSeries::new("error", SeriesRole::Before, values)],
             ..Plot::default()
         }
     }

@@ -219,12 +219,7 @@ fn hostile_names_stay_text() {
 fn hostile_names_stay_data() {
     let plot = Plot {
         x: vec![0.0, 1.0],
-        series: vec![PlotSeries {
-            label: HOSTILE.to_owned(),
-            role: SeriesRole::Amount,
-            values: vec![1.0, 2.0],
-            half_widths: Vec::new(),
-        }],
+        series: vec![PlotSeries::new(HOSTILE, SeriesRole::Amount, [1.0, 2.0])],
         ..Plot::default()
     };
     let findings = vec![FindingPlots { plots: vec![plot], ..FindingPlots::default() }];

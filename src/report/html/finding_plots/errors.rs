@@ -73,12 +73,8 @@ fn over_time(
 /// Yaw of an IMU against FK, with the drift that `limit` allows per second.
 pub fn yaw_error(imu: &ImuFigure, limit: Option<f64>) -> Plot {
     let t_s: Vec<f64> = imu.yaw_error.iter().map(|at| at[0]).collect();
-    let error = PlotSeries {
-        label: "IMU − FK".to_owned(),
-        role: SeriesRole::Before,
-        values: imu.yaw_error.iter().map(|at| at[1].to_degrees()).collect(),
-        half_widths: Vec::new(),
-    };
+    let degrees = imu.yaw_error.iter().map(|at| at[1].to_degrees());
+    let error = PlotSeries::new("IMU − FK", SeriesRole::Before, degrees);
     let limit = limit.map(|rate| {
         let label = format!("limit {}", Unit::RadianPerSecond.show(rate));
         drift_line(&t_s, rate, label, SeriesRole::Limit)
@@ -99,8 +95,7 @@ pub fn yaw_error(imu: &ImuFigure, limit: Option<f64>) -> Plot {
 /// Line through zero at the middle of the run, in degrees; `rate` in rad/s.
 pub(super) fn drift_line(t_s: &[f64], rate: f64, label: String, role: SeriesRole) -> PlotSeries {
     let middle = 0.5 * (t_s.first().unwrap_or(&0.0) + t_s.last().unwrap_or(&0.0));
-    let values = t_s.iter().map(|t_s| (rate * (t_s - middle)).to_degrees()).collect();
-    PlotSeries { label, role, values, half_widths: Vec::new() }
+    PlotSeries::new(label, role, t_s.iter().map(|t_s| (rate * (t_s - middle)).to_degrees()))
 }
 
 impl FindingContext<'_> {
@@ -139,11 +134,8 @@ impl FindingContext<'_> {
         let limit = self.warning_limit(Unit::SecondPerSecond).map(|limit| {
             (format!("limit {}", Unit::SecondPerSecond.show(limit)), SeriesRole::Limit, limit)
         });
-        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| PlotSeries {
-            label,
-            role,
-            values: plot.x.iter().map(|t_s| slope * (t_s - middle) * 1e3).collect(),
-            half_widths: Vec::new(),
+        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| {
+            PlotSeries::new(label, role, plot.x.iter().map(|t_s| slope * (t_s - middle) * 1e3))
         });
         plot.series = std::mem::take(&mut plot.series).into_iter().chain(lines).collect();
         plot.style = PlotStyle::Time;
@@ -179,11 +171,8 @@ fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<PlotSer
         [("as logged", SeriesRole::Before, before), ("after correction", SeriesRole::After, after)];
     let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
     drawn
-        .map(|(label, role, values)| PlotSeries {
-            label: label.to_owned(),
-            role,
-            values: values.iter().map(|value| value * factor).collect(),
-            half_widths: Vec::new(),
+        .map(|(label, role, values)| {
+            PlotSeries::new(label, role, values.iter().map(|value| value * factor))
         })
         .collect()
 }
@@ -212,10 +201,12 @@ fn latency_profile_plot([robot, topic]: [&str; 2], points: &[LatencyProfilePoint
         x_label: "time, s",
         y_label: "ms",
         series: vec![PlotSeries {
-            label: "latency".to_owned(),
-            role: SeriesRole::Amount,
-            values: points.iter().map(|point| point.deviation_s * 1e3).collect(),
             half_widths: points.iter().map(|point| point.half_width_s * 1e3).collect(),
+            ..PlotSeries::new(
+                "latency",
+                SeriesRole::Amount,
+                points.iter().map(|point| point.deviation_s * 1e3),
+            )
         }],
         style: PlotStyle::Points,
         ..Plot::default()

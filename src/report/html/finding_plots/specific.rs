@@ -72,7 +72,11 @@ impl FindingContext<'_> {
         });
         Plot {
             x: spectrum.iter().map(|at| at[0]).collect(),
-            series: vec![series("rms", SeriesRole::Amount, spectrum.iter().map(|at| at[1] * 1e3))],
+            series: vec![PlotSeries::new(
+                "rms",
+                SeriesRole::Amount,
+                spectrum.iter().map(|at| at[1] * 1e3),
+            )],
             from_zero: true,
             mark,
             limits: from.into_iter().collect(),
@@ -88,7 +92,11 @@ impl FindingContext<'_> {
     fn trace(&self, trace: &[[f64; 2]]) -> Plot {
         Plot {
             x: trace.iter().map(|at| at[0]).collect(),
-            series: vec![series("tip", SeriesRole::Before, trace.iter().map(|at| at[1] * 1e3))],
+            series: vec![PlotSeries::new(
+                "tip",
+                SeriesRole::Before,
+                trace.iter().map(|at| at[1] * 1e3),
+            )],
             limits: PlotLimit::signed(self.warning_limit(Unit::Metre), Unit::Metre, 1e3),
             style: PlotStyle::Curve,
             ..self.plot(
@@ -106,7 +114,7 @@ impl FindingContext<'_> {
         ];
         parts.map(|(title, part, unit, label, factor)| Plot {
             x: each.iter().map(|at| at[0]).collect(),
-            series: vec![series(
+            series: vec![PlotSeries::new(
                 "view",
                 SeriesRole::Before,
                 each.iter().map(|at| at[part] * factor),
@@ -125,7 +133,7 @@ impl FindingContext<'_> {
         };
         Plot {
             x: tip.iter().map(|at| at[0] * 1e3).collect(),
-            series: vec![series(
+            series: vec![PlotSeries::new(
                 "tip by FK",
                 SeriesRole::Before,
                 tip.iter().map(|at| at[part] * factor),
@@ -145,7 +153,7 @@ impl FindingContext<'_> {
         let angle = command.iter().map(|at| at[2].to_degrees());
         Plot {
             x: command.iter().map(|at| at[0] * 1e3).collect(),
-            series: vec![series("command", SeriesRole::Amount, angle)],
+            series: vec![PlotSeries::new("command", SeriesRole::Amount, angle)],
             from_zero: true,
             limits: PlotLimit::upper(
                 self.warning_limit(Unit::Radian),
@@ -199,7 +207,11 @@ impl FindingContext<'_> {
     fn rotation_norms(&self, rows: &[[f64; 2]]) -> Plot {
         Plot {
             x: rows.iter().map(|at| at[0]).collect(),
-            series: vec![series("defect", SeriesRole::Before, rows.iter().map(|at| at[1]))],
+            series: vec![PlotSeries::new(
+                "defect",
+                SeriesRole::Before,
+                rows.iter().map(|at| at[1]),
+            )],
             from_zero: true,
             limits: PlotLimit::upper(self.warning_limit(Unit::One), Unit::One, 1.0),
             ..self.plot(
@@ -217,7 +229,7 @@ impl FindingContext<'_> {
                 format!(", bias {}", Unit::GyroRate.show_signed_within(bias[part], None))
             });
             let label = format!("{}{found}", ["x", "y", "z"][part]);
-            series(&label, role, rates.iter().map(|at| at[part + 1].to_degrees()))
+            PlotSeries::new(label, role, rates.iter().map(|at| at[part + 1].to_degrees()))
         };
         let says = match at_rest {
             true => "While all joints rest: a good gyro reads zero.",
@@ -273,13 +285,13 @@ impl FindingContext<'_> {
             label: self.amount_text(),
         });
         let velocity = (!joint.velocity.is_empty()).then(|| {
-            series(
+            PlotSeries::new(
                 "recorded velocity",
                 SeriesRole::Before,
                 joint.velocity.iter().map(|v| v * factor),
             )
         });
-        let rates = series(
+        let rates = PlotSeries::new(
             "rate from the positions",
             SeriesRole::After,
             joint.differentiated.iter().map(|v| v * factor),
@@ -300,7 +312,7 @@ impl FindingContext<'_> {
             },
             Plot {
                 x: joint.t_s.clone(),
-                series: vec![series(
+                series: vec![PlotSeries::new(
                     "position",
                     SeriesRole::Amount,
                     joint.position.iter().map(|q| q * factor),
@@ -328,10 +340,6 @@ fn is_near_limit(plot: &Plot) -> bool {
     let values = plot.series.iter().flat_map(|series| &series.values);
     let most = values.map(|value| value.abs()).fold(0.0, f64::max);
     plot.limits.iter().all(|limit| most >= 0.1 * limit.at)
-}
-
-fn series(label: &str, role: SeriesRole, values: impl Iterator<Item = f64>) -> PlotSeries {
-    PlotSeries { label: label.to_owned(), role, values: values.collect(), half_widths: Vec::new() }
 }
 
 fn view_directions(views: &[[f64; 2]]) -> Plane {
