@@ -20,6 +20,7 @@ mod sanitize;
 pub mod sarif;
 mod sparkline;
 mod stored;
+pub(crate) mod styles;
 pub mod text;
 mod trouble;
 mod workspace;

@@ -8,12 +8,10 @@ mod lines;
 
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
-
 use self::lines::Lines;
 use super::outline::{AmountBound, FIX, FindingGroup, OpenChecks, Outline};
+use super::styles::{ERROR, STRONG, severity_style, verdict_style};
 use super::{Report, Verdict, sanitize, sparkline};
-use crate::finding::Severity;
 
 /// Line width on a terminal.
 const MIN_WIDTH: usize = 60;
@@ -29,13 +27,6 @@ const MAX_NOTES: usize = 3;
 const MAX_SPARKLINES: usize = 3;
 const MAX_UNTESTED: usize = 4;
 const MAX_UNUSED: usize = 3;
-
-const ERROR: Style = AnsiColor::Red.on_default().bold();
-const WARNING: Style = AnsiColor::Yellow.on_default().bold();
-const INFO: Style = AnsiColor::Cyan.on_default().bold();
-const GOOD: Style = AnsiColor::Green.on_default().bold();
-const STRONG: Style = Style::new().bold();
-const QUIET: Style = Style::new().dimmed();
 
 /// Writes one line per statement, so that it can be searched.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
@@ -149,11 +140,7 @@ impl<'a> TextReport<'a> {
     }
 
     fn finding(&self, group: &FindingGroup, out: &mut Lines<'_>) -> io::Result<()> {
-        let style = match group.severity() {
-            Severity::Error => ERROR,
-            Severity::Warning => WARNING,
-            Severity::Info => INFO,
-        };
+        let style = severity_style(group.severity());
         let head = format!("{}[{}]", group.severity().name(), group.findings[0].code);
         let (subject, message) = self.outline.group_title(group);
         let subject = match sanitize(&subject) {
@@ -175,11 +162,7 @@ impl<'a> TextReport<'a> {
 
     fn verdict(&self, out: &mut Lines<'_>) -> io::Result<()> {
         let verdict = self.report.verdict;
-        let style = match verdict {
-            Verdict::Fail => ERROR,
-            Verdict::Pass => GOOD,
-            Verdict::Inconclusive => WARNING,
-        };
+        let style = verdict_style(verdict);
         if verdict == Verdict::Pass && !self.report.is_verbose {
             self.key_bounds(out)?;
         }

@@ -2,23 +2,14 @@
 
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
+use anstyle::Style;
 
 use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar, trends};
-use crate::finding::Severity;
 use crate::fleet::FailureGroup;
-use crate::report::{Verdict, sanitize};
-
-const LABEL_WIDTH: usize = 16;
+use crate::report::styles::{ERROR, STRONG, WARNING, severity_style, verdict_style, write_line};
 
 /// Limit per table; JSON and HTML contain more.
 const MAX_ROWS: usize = 20;
-
-const ERROR: Style = AnsiColor::Red.on_default().bold();
-const WARNING: Style = AnsiColor::Yellow.on_default().bold();
-const INFO: Style = AnsiColor::Cyan.on_default().bold();
-const GOOD: Style = AnsiColor::Green.on_default().bold();
-const STRONG: Style = Style::new().bold();
 
 /// Writes the report. The verdict and the next commands come last.
 ///
@@ -52,11 +43,7 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out)?;
     write_line(out, STRONG, "trends", &trends::counts_text(&report.trends))?;
     let verdict = report.verdict();
-    let style = match verdict {
-        Verdict::Pass => GOOD,
-        Verdict::Inconclusive => WARNING,
-        Verdict::Fail => ERROR,
-    };
+    let style = verdict_style(verdict);
     write_line(out, style, &verdict.to_string(), &totals_text(report))?;
     let mut label = "next";
     for next in report.next_commands() {
@@ -145,11 +132,7 @@ pub fn frequency_text(row: &FindingRow) -> String {
 }
 
 fn write_finding(out: &mut dyn Write, row: &FindingRow) -> io::Result<()> {
-    let style = match row.severity {
-        Severity::Error => ERROR,
-        Severity::Warning => WARNING,
-        Severity::Info => INFO,
-    };
+    let style = severity_style(row.severity);
     let part = row.subject.part_label();
     let part = if part.is_empty() { String::new() } else { format!(" {part}") };
     let text = format!("{}{part}: {}, {}", row.subject.arm_label(), row.title, frequency_text(row));
@@ -176,9 +159,4 @@ fn write_rows<T>(
         write_line(out, Style::new(), "", &format!("and {} more", rows.len() - MAX_ROWS))?;
     }
     Ok(())
-}
-
-fn write_line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
-    let room = LABEL_WIDTH.saturating_sub(label.len()).max(1);
-    writeln!(out, "{style}{label}{style:#}{:room$}{}", "", sanitize(text))
 }

@@ -2,20 +2,12 @@
 
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
-
 use super::{Change, ChangeKind, Comparison, LostCheck};
 use crate::finding::{Estimate, Finding, Subject};
-use crate::report::{amounts, markdown as md, sanitize};
-
-const LABEL_WIDTH: usize = 16;
+use crate::report::styles::{ERROR, GOOD, QUIET, STRONG, WARNING, write_line};
+use crate::report::{amounts, markdown as md};
 
 const WHOLE_RUN: &str = "the run";
-
-const REGRESSION: Style = AnsiColor::Red.on_default().bold();
-const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
-const GOOD: Style = AnsiColor::Green.on_default().bold();
-const QUIET: Style = Style::new().dimmed();
 
 impl ChangeKind {
     const fn name(self) -> &'static str {
@@ -34,31 +26,31 @@ impl ChangeKind {
 /// Writes the comparison for a terminal.
 pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     let [old, new] = comparison.verdicts;
-    line(out, Style::new().bold(), "verdict", &format!("{old} → {new}"))?;
+    write_line(out, STRONG, "verdict", &format!("{old} → {new}"))?;
     let (style, label) = match comparison.regression {
-        true => (REGRESSION, "REGRESSION"),
+        true => (ERROR, "REGRESSION"),
         false => (GOOD, "NO REGRESSION"),
     };
-    line(out, style, label, &comparison.summary())?;
+    write_line(out, style, label, &comparison.summary())?;
     if !comparison.causes.is_empty() {
         writeln!(out)?;
     }
     for change in &comparison.causes {
         let style = match change.kind {
-            _ if change.regression => REGRESSION,
+            _ if change.regression => ERROR,
             ChangeKind::Gone | ChangeKind::Shrank => GOOD,
             ChangeKind::Same => QUIET,
-            _ => DOUBTFUL,
+            _ => WARNING,
         };
         let subject = comparison.subject_text(&change.subject);
         let text = format!("{} {subject}: {}", change.code, change.text());
-        line(out, style, change.kind.name(), &text)?;
+        write_line(out, style, change.kind.name(), &text)?;
     }
     if !comparison.lost.is_empty() {
         writeln!(out)?;
     }
     for lost in &comparison.lost {
-        line(out, DOUBTFUL, "inconclusive", &comparison.lost_text(lost))?;
+        write_line(out, WARNING, "inconclusive", &comparison.lost_text(lost))?;
     }
     Ok(())
 }
@@ -167,9 +159,4 @@ fn amount_or_message(finding: &Finding) -> String {
     let amount = finding.estimate.as_ref().filter(is_known);
     let said = amount.map_or_else(|| finding.message.clone(), amounts::format_estimate);
     format!("{} {said}", finding.severity.name())
-}
-
-fn line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
-    let blanks = LABEL_WIDTH.saturating_sub(label.chars().count()).max(1);
-    writeln!(out, "{style}{label}{style:#}{:blanks$}{}", "", sanitize(text))
 }

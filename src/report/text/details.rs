@@ -4,12 +4,11 @@ use std::io;
 
 use anstyle::Style;
 
+use super::TextReport;
 use super::lines::Lines;
-use super::{GOOD, QUIET, TextReport, WARNING};
 use crate::report::outline::AmountBound;
+use crate::report::styles::{GOOD, LABEL_WIDTH, QUIET, WARNING};
 use crate::report::{JointCoverage, WorkspaceRow, sanitize};
-
-const LABEL_WIDTH: usize = 16;
 
 impl TextReport<'_> {
     /// Inconclusive, ignored, passed and skipped checks, unused topics and columns, and the workspace.

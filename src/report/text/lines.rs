@@ -4,9 +4,9 @@ use std::io::{self, Write};
 
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
-use super::{GOOD, QUIET};
 use crate::report::outline::FIX;
 use crate::report::sanitize;
+use crate::report::styles::{GOOD, QUIET};
 
 pub(super) struct Lines<'a> {
     pub out: &'a mut dyn Write,
