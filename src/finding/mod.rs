@@ -16,6 +16,7 @@ pub use deserialize::Word;
 pub(crate) use deserialize::{deserialize_number, deserialize_optional_word, deserialize_word};
 pub(crate) use estimate::Amount;
 pub use estimate::{Angle, Change, Estimate, Interpretation, JointRelation, RunnerUp};
+pub(crate) use unit::trimmed;
 pub use unit::{Unit, rounded};
 
 /// Severity of a finding.

@@ -196,8 +196,8 @@ pub fn rounded(number: f64, decimals: usize) -> String {
     unsigned_zero(format!("{number:.decimals$}"))
 }
 
-/// At most `decimals` decimals, without trailing zeros.
-fn trimmed(value: f64, decimals: usize) -> String {
+/// At most `decimals` decimals, without trailing zeros and −0.
+pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
     let text = rounded(value, decimals);
     if !text.contains('.') {
         return text;

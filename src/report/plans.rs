@@ -10,7 +10,7 @@ use super::workspace::arms_with_readable_joints;
 use crate::checks::resolving_motion;
 use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
-use crate::finding::{CheckRow, Finding, Word, deserialize_word};
+use crate::finding::{CheckRow, Finding, Word, deserialize_word, trimmed};
 use crate::robot::{Chain, JointKind, Robot};
 use crate::run::{Arm, PoseSourceKind, Run, RunOptions, load_robot};
 use crate::stream::JointTrack;
@@ -107,7 +107,7 @@ pub(crate) struct PlanInputs<'a> {
 pub(crate) fn plan_command(inputs: &PlanInputs<'_>) -> Option<String> {
     let around: Vec<String> = start_configuration(inputs.joints, inputs.columns, inputs.chain)?
         .iter()
-        .map(|q| format_position(*q))
+        .map(|q| trimmed(*q, 3))
         .collect();
     let around = around.join(",");
     let Some((model, robot)) = &inputs.model else {
@@ -179,12 +179,6 @@ fn unwrap_into_limits(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     Some(q)
 }
 
-fn format_position(q: f64) -> String {
-    let text = format!("{:.3}", q);
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
-}
-
 fn format_option(name: &str, value: &str) -> String {
     format!(" --{name} {}", quote_for_shell(value))
 }
@@ -215,7 +209,7 @@ mod tests {
     #[test]
     fn numbers_are_short_and_words_are_quoted_for_the_shell() {
         assert_eq!(
-            [0.0, -0.0001, 1.5, -1.5706, 2.0].map(format_position),
+            [0.0, -0.0001, 1.5, -1.5706, 2.0].map(|q| trimmed(q, 3)),
             ["0", "0", "1.5", "-1.571", "2"]
         );
         let quoted = ["run.mcap", "my run.mcap", "it's", "$(x)", ""].map(quote_for_shell);

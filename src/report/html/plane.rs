@@ -3,6 +3,7 @@
 use maud::{Markup, html};
 
 use super::plot::SeriesRole;
+use crate::finding::trimmed;
 
 /// Equal scale on both axes.
 #[derive(Clone, Debug, Default)]
@@ -38,6 +39,9 @@ const WIDTH_PX: f64 = 420.0;
 const HEIGHT_PX: f64 = 320.0;
 /// For axes and numbers: left, right, top and bottom.
 const MARGINS_PX: [f64; 4] = [52.0, 14.0, 12.0, 40.0];
+/// Width and height within the margins.
+const INNER_PX: [f64; 2] =
+    [WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1], HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]];
 
 struct PlaneScale {
     middle: [f64; 2],
@@ -56,19 +60,14 @@ impl PlaneScale {
                 |pick: fn(f64, f64) -> f64, a: [f64; 2]| [pick(a[0], at[0]), pick(a[1], at[1])];
             (both(f64::min, low), both(f64::max, high))
         });
-        let inner =
-            [WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1], HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]];
         let spans = [high[0] - low[0], high[1] - low[1]];
-        let per_unit = [0, 1].map(|axis| inner[axis] / (1.16 * spans[axis]).max(1e-12));
+        let per_unit = [0, 1].map(|axis| INNER_PX[axis] / (1.16 * spans[axis]).max(1e-12));
         let per_unit = per_unit[0].min(per_unit[1]);
         Some(Self { middle: [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])], per_unit })
     }
 
     fn to_px(&self, at: [f64; 2]) -> [f64; 2] {
-        let centre = [
-            MARGINS_PX[0] + 0.5 * (WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1]),
-            MARGINS_PX[2] + 0.5 * (HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]),
-        ];
+        let centre = [MARGINS_PX[0] + 0.5 * INNER_PX[0], MARGINS_PX[2] + 0.5 * INNER_PX[1]];
         [
             centre[0] + (at[0] - self.middle[0]) * self.per_unit,
             centre[1] - (at[1] - self.middle[1]) * self.per_unit,
@@ -77,12 +76,7 @@ impl PlaneScale {
 
     /// Round values within the picture.
     fn ticks(&self, axis: usize) -> Vec<f64> {
-        let inner = if axis == 0 {
-            WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1]
-        } else {
-            HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]
-        };
-        let half = 0.5 * inner / self.per_unit;
+        let half = 0.5 * INNER_PX[axis] / self.per_unit;
         // About 70 px apart.
         let raw = 70.0 / self.per_unit;
         let power = 10f64.powf(raw.log10().floor());
@@ -129,12 +123,12 @@ impl Plane {
             @for tick in scale.ticks(0) {
                 @let [x, _] = scale.to_px([tick, 0.0]);
                 line .grid x1=(format_px(x)) x2=(format_px(x)) y1=(format_px(MARGINS_PX[2])) y2=(format_px(bottom)) {}
-                text x=(format_px(x)) y=(format_px(bottom + 14.0)) text-anchor="middle" { (format_tick(tick)) }
+                text x=(format_px(x)) y=(format_px(bottom + 14.0)) text-anchor="middle" { (trimmed(tick, 4)) }
             }
             @for tick in scale.ticks(1) {
                 @let [_, y] = scale.to_px([0.0, tick]);
                 line .grid x1=(format_px(MARGINS_PX[0])) x2=(format_px(WIDTH_PX - MARGINS_PX[1])) y1=(format_px(y)) y2=(format_px(y)) {}
-                text x=(format_px(MARGINS_PX[0] - 5.0)) y=(format_px(y + 4.0)) text-anchor="end" { (format_tick(tick)) }
+                text x=(format_px(MARGINS_PX[0] - 5.0)) y=(format_px(y + 4.0)) text-anchor="end" { (trimmed(tick, 4)) }
             }
             text x=(format_px(0.5 * (MARGINS_PX[0] + WIDTH_PX - MARGINS_PX[1]))) y=(format_px(HEIGHT_PX - 6.0)) text-anchor="middle" {
                 (self.axes[0])
@@ -178,12 +172,6 @@ fn format_px(at: f64) -> String {
     format!("{at:.1}")
 }
 
-fn format_tick(tick: f64) -> String {
-    let shown = format!("{tick:.4}");
-    let shown = shown.trim_end_matches('0').trim_end_matches('.');
-    if shown == "-0" { "0".to_owned() } else { shown.to_owned() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -211,6 +199,9 @@ mod tests {
 
     #[test]
     fn numbers_on_axes_are_short() {
-        assert_eq!([0.5, -0.0, 200.0, 0.25].map(format_tick), ["0.5", "0", "200", "0.25"]);
+        assert_eq!(
+            [0.5, -0.0, 200.0, 0.25].map(|tick| trimmed(tick, 4)),
+            ["0.5", "0", "200", "0.25"]
+        );
     }
 }
