@@ -157,6 +157,16 @@ impl PathRegistry {
         });
     }
 
+    /// Checks all outputs, with those that `register` adds.
+    ///
+    /// # Errors
+    /// As [`Self::check`].
+    pub fn check_with(&self, register: impl FnOnce(&mut Self)) -> Result<(), Trouble> {
+        let mut places = self.clone();
+        register(&mut places);
+        places.check()
+    }
+
     /// Checks all outputs.
     ///
     /// # Errors

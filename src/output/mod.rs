@@ -12,3 +12,32 @@ pub mod replay;
 #[cfg(feature = "tables")]
 pub mod tables;
 pub mod tum;
+
+use std::path::Path;
+use std::{fs, io};
+
+use crate::report::{Trouble, write_whole};
+
+/// Writes a file as a whole.
+fn write_file(path: &Path, content: impl AsRef<[u8]>, remedy: &str) -> Result<(), Trouble> {
+    let written: io::Result<()> = write_whole(path, |staged| fs::write(staged, content));
+    written.map_err(|error| Trouble::call(path.display(), error, remedy))
+}
+
+/// Writes texts by file name into the folder of an option, creating it. Each file is replaced as a whole.
+fn write_folder<N: AsRef<Path>>(
+    option: &str,
+    folder: &Path,
+    texts: &[(N, String)],
+) -> Result<(), Trouble> {
+    let unwritable = |path: &Path, error: io::Error| {
+        let remedy = format!("set {option} to a writable folder");
+        Trouble::call(path.display(), format_args!("cannot be written: {error}"), remedy)
+    };
+    fs::create_dir_all(folder).map_err(|error| unwritable(folder, error))?;
+    texts.iter().try_for_each(|(name, text)| {
+        let path = folder.join(name);
+        write_whole(&path, |staged| fs::write(staged, text))
+            .map_err(|error| unwritable(&path, error))
+    })
+}

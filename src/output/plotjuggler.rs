@@ -9,16 +9,16 @@
 //! Each row belongs to one stream; the cells of the others are empty, which PlotJuggler skips.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use maud::html;
 
 use super::error_series::{ErrorRow, ErrorSeries, ErrorSize};
+use super::write_file;
 use crate::audit::Audited;
 use crate::finding::Finding;
 use crate::places::PathRegistry;
-use crate::report::{Trouble, write_whole};
+use crate::report::Trouble;
 
 const OPTION: &str = "--plotjuggler";
 
@@ -41,22 +41,14 @@ impl Audited {
     /// # Errors
     /// If a file cannot be written or would replace an input file.
     pub fn write_plotjuggler(&self, path: &Path) -> Result<(), Trouble> {
-        let mut places = self.read.clone();
-        register_outputs(path, &mut places);
-        places.check()?;
+        self.read.check_with(|places| register_outputs(path, places))?;
+        let remedy = "set --plotjuggler to a writable file";
         let streams = plotted_streams(self);
-        let table = table(&streams).map_err(|error| unwritable(path, &error.to_string()))?;
-        let layout = layout(&streams, path);
-        for (path, content) in [(path, table), (&layout_path(path), layout.into_bytes())] {
-            write_whole(path, |staged| fs::write(staged, &content))
-                .map_err(|error| unwritable(path, &error.to_string()))?;
-        }
-        Ok(())
+        let table =
+            table(&streams).map_err(|error| Trouble::call(path.display(), error, remedy))?;
+        write_file(path, table, remedy)?;
+        write_file(&layout_path(path), layout(&streams, path), remedy)
     }
-}
-
-fn unwritable(path: &Path, error: &str) -> Trouble {
-    Trouble::unwritable(path, error.to_owned(), "set --plotjuggler to a writable file")
 }
 
 struct PlottedStream {

@@ -4,11 +4,12 @@ use std::collections::HashSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use super::write_file;
 use crate::Audited;
 use crate::diagnosis::AlignedSamples;
 use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
 use crate::places::PathRegistry;
-use crate::report::{Trouble, write_whole};
+use crate::report::Trouble;
 use crate::time::Stamp;
 
 const OPTION: &str = "--tum";
@@ -35,15 +36,11 @@ impl Audited {
                 files.push((folder.join(format!("{name}{suffix}.tum")), text));
             }
         }
-        let mut places = self.read.clone();
-        files.iter().for_each(|(path, _)| places.add_output(OPTION, path));
-        places.check()?;
-        files.iter().try_for_each(|(path, text)| {
-            let written = write_whole(path, |path| std::fs::write(path, text));
-            written.map_err(|error: std::io::Error| {
-                Trouble::unwritable(path, error.to_string(), "set --tum to a writable folder")
-            })
-        })
+        self.read.check_with(|places| {
+            files.iter().for_each(|(path, _)| places.add_output(OPTION, path));
+        })?;
+        let remedy = "set --tum to a writable folder";
+        files.iter().try_for_each(|(path, text)| write_file(path, text, remedy))
     }
 }
 

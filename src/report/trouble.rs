@@ -1,6 +1,5 @@
 use std::fmt::Display;
 use std::io::ErrorKind;
-use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -51,11 +50,6 @@ impl Trouble {
             place: place.to_string(),
             remedy: remedy.to_string(),
         }
-    }
-
-    /// A file or folder that cannot be written.
-    pub fn unwritable(path: &Path, what: String, remedy: &str) -> Self {
-        Self::call(path.display(), what, remedy)
     }
 }
 

@@ -3,13 +3,15 @@
 mod json;
 mod text;
 
-use std::fs;
 use std::path::Path;
 
+use super::write_folder;
 use crate::audit::CalibrationResult;
 use crate::places::PathRegistry;
-use crate::report::{Trouble, write_whole};
+use crate::report::Trouble;
 use crate::robot::{Calibration, Robot, catalogue};
+
+const OPTION: &str = "--out";
 
 /// Model with the deviations.
 const MODEL_FILE: &str = "robot.urdf";
@@ -23,7 +25,7 @@ const DH_FILE: &str = "dh.toml";
 /// Registers the files that may be written into `folder`.
 pub fn register_outputs(folder: &Path, places: &mut PathRegistry) {
     places.add_outputs_in(
-        "--out",
+        OPTION,
         folder,
         [MODEL_FILE, NUMBERS_FILE, UR_FILE, DH_FILE].map(str::to_owned),
     );
@@ -40,20 +42,9 @@ impl CalibrationResult {
         if self.rejection.is_some() || (self.equals_nominal && !always) {
             return Ok(Vec::new());
         }
-        let mut places = self.read.clone();
-        register_outputs(folder, &mut places);
-        places.check()?;
-        let unwritable = |path: &Path, error: std::io::Error| {
-            let what = format!("cannot be written: {error}");
-            Trouble::unwritable(path, what, "set --out to a writable folder")
-        };
-        fs::create_dir_all(folder).map_err(|error| unwritable(folder, error))?;
+        self.read.check_with(|places| register_outputs(folder, places))?;
         let files = self.files();
-        for (name, text) in &files {
-            let path = folder.join(name);
-            write_whole(&path, |staged| fs::write(staged, text))
-                .map_err(|error| unwritable(&path, error))?;
-        }
+        write_folder(OPTION, folder, &files)?;
         Ok(files.into_iter().map(|(name, _)| name).collect())
     }
 

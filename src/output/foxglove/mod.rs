@@ -16,7 +16,6 @@ mod problems;
 mod schema;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -24,13 +23,14 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 use serde_json::{Value, json};
 
+use super::write_file;
 use crate::audit::Audited;
 use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Finding, Severity};
 use crate::geometry::Pose;
 use crate::places::PathRegistry;
 use crate::report::outline::Outline;
-use crate::report::{Report, Trouble, write_whole};
+use crate::report::{Report, Trouble};
 use crate::stats::thin;
 use crate::time::Stamp;
 
@@ -64,19 +64,14 @@ impl Audited {
     /// # Errors
     /// If a file cannot be written or would replace an input file.
     pub fn write_foxglove(&self, path: &Path) -> Result<(), Trouble> {
-        let mut places = self.read.clone();
-        register_outputs(path, &mut places);
-        places.check()?;
+        self.read.check_with(|places| register_outputs(path, places))?;
         let remedy = "set --mcap to a writable file";
         let messages = messages(self);
-        let bytes = encode_mcap(&messages)
-            .map_err(|error| Trouble::unwritable(path, error.to_string(), remedy))?;
+        let bytes =
+            encode_mcap(&messages).map_err(|error| Trouble::call(path.display(), error, remedy))?;
+        write_file(path, bytes, remedy)?;
         let layout = format!("{:#}\n", self.foxglove_layout(&messages));
-        for (path, content) in [(path, bytes), (&layout_path(path), layout.into_bytes())] {
-            write_whole(path, |staged| fs::write(staged, &content))
-                .map_err(|error| Trouble::unwritable(path, error.to_string(), remedy))?;
-        }
-        Ok(())
+        write_file(&layout_path(path), layout, remedy)
     }
 
     fn foxglove_layout(&self, messages: &[Message]) -> Value {

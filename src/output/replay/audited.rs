@@ -26,9 +26,7 @@ impl Audited {
     /// # Errors
     /// If it cannot be written or would replace an input file.
     pub fn record(&mut self, recording: &Recording) -> Result<(), Trouble> {
-        let mut places = self.read.clone();
-        recording.register_outputs(&mut places);
-        places.check()?;
+        self.read.check_with(|places| recording.register_outputs(places))?;
         let is_pictured = self.report.figures.is_some();
         if !is_pictured {
             self.report.figures = Some(self.figures(Plots::All));
@@ -48,7 +46,7 @@ impl Audited {
         }
         let notes = written.map_err(|error| {
             let remedy = "set --rrd to a writable file";
-            Trouble::unwritable(path, error.cause.to_string(), remedy)
+            Trouble::call(path.display(), error.cause, remedy)
         })?;
         let notes = notes.into_iter().map(|note| NoteRow { path: path.clone(), note });
         report.log.notes.extend(notes);

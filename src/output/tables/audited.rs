@@ -23,12 +23,9 @@ impl Audited {
     /// # Errors
     /// If a table cannot be written or would replace an input file.
     pub fn write_tables(&self, folder: &Path) -> Result<(), Trouble> {
-        let mut places = self.read.clone();
-        register_outputs(folder, &mut places);
-        places.check()?;
+        self.read.check_with(|places| register_outputs(folder, places))?;
         let Self { report, run, evidence, .. } = self;
         let remedy = "set --parquet to a writable folder";
-        let trouble = |what| Trouble::unwritable(folder, what, remedy);
         let streams = evidence.robots.iter().flat_map(|arm| {
             let found = arm.poses_and_tf();
             found.map(move |of| (arm.name.as_str(), of.topic(), &of.diagnosis.aligned))
@@ -43,9 +40,10 @@ impl Audited {
             workspace::reached_poses_frame(&arms, run.origin),
         ];
         for (name, frame) in TABLE_NAMES.into_iter().zip(frames) {
-            let mut frame = frame.map_err(|error| trouble(error.to_string()))?;
+            let mut frame =
+                frame.map_err(|error| Trouble::call(folder.display(), error, remedy))?;
             write_table(folder, name, &mut frame).map_err(|TableError { path, cause }| {
-                Trouble { place: path.display().to_string(), ..trouble(cause) }
+                Trouble::call(path.display(), cause, remedy)
             })?;
         }
         Ok(())
