@@ -144,8 +144,7 @@ impl<'de> Visitor<'de> for Table {
                     }
                 }
                 Key::Severity => {
-                    let SeverityName(severity) = map.next_value()?;
-                    table.severity = Some(severity);
+                    table.severity = Some(map.next_value()?);
                 }
                 Key::Limit(limit) => {
                     table.limits.push((limit, map.next_value_seed(LimitOf(limit))?));
@@ -215,28 +214,6 @@ impl<'de> DeserializeSeed<'de> for LimitOf {
 
     fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<f64, D::Error> {
         Quantity::deserialize(from)?.amount(self.0.unit).map_err(D::Error::custom)
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(from = "SeverityWord")]
-struct SeverityName(Severity);
-
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum SeverityWord {
-    Info,
-    Warning,
-    Error,
-}
-
-impl From<SeverityWord> for SeverityName {
-    fn from(level: SeverityWord) -> Self {
-        Self(match level {
-            SeverityWord::Info => Severity::Info,
-            SeverityWord::Warning => Severity::Warning,
-            SeverityWord::Error => Severity::Error,
-        })
     }
 }
 
