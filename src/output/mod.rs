@@ -17,6 +17,14 @@ use std::path::Path;
 use std::{fs, io};
 
 use crate::report::{Trouble, write_whole};
+use crate::time::{NANOS_PER_SECOND, Stamp};
+
+/// Every nanosecond is kept.
+fn decimal_seconds(stamp: Stamp) -> String {
+    let sign = if stamp.nanos() < 0 { "-" } else { "" };
+    let (nanos, second) = (stamp.nanos().unsigned_abs(), NANOS_PER_SECOND.unsigned_abs());
+    format!("{sign}{}.{:09}", nanos / second, nanos % second)
+}
 
 /// Writes a file as a whole.
 fn write_file(path: &Path, content: impl AsRef<[u8]>, remedy: &str) -> Result<(), Trouble> {

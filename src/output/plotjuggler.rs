@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use maud::html;
 
 use super::error_series::{ErrorRow, ErrorSeries, ErrorSize};
-use super::write_file;
+use super::{decimal_seconds, write_file};
 use crate::audit::Audited;
 use crate::finding::Finding;
 use crate::places::PathRegistry;
@@ -146,7 +146,7 @@ fn table(streams: &[PlottedStream]) -> Result<Vec<u8>, csv::Error> {
     rows.sort_by_key(|(at, row)| (row.at, *at));
     for (at, row) in rows {
         let mut record = vec![String::new(); 1 + streams.len() * columns];
-        record[0] = seconds(row.at.nanos());
+        record[0] = decimal_seconds(row.at);
         let values = Quantity::ALL.into_iter().flat_map(|it| it.values(&streams[at].errors, row));
         for (cell, value) in record[1 + at * columns..].iter_mut().zip(values) {
             *cell = value.map(|value| format!("{value:.6}")).unwrap_or_default();
@@ -154,14 +154,6 @@ fn table(streams: &[PlottedStream]) -> Result<Vec<u8>, csv::Error> {
         writer.write_record(record)?;
     }
     writer.into_inner().map_err(|error| error.into_error().into())
-}
-
-/// Every nanosecond is kept.
-fn seconds(nanos: i64) -> String {
-    const NANOS_PER_SECOND: u64 = 1_000_000_000;
-    let sign = if nanos < 0 { "-" } else { "" };
-    let nanos = nanos.unsigned_abs();
-    format!("{sign}{}.{:09}", nanos / NANOS_PER_SECOND, nanos % NANOS_PER_SECOND)
 }
 
 /// A tab for each stream. The table is named relative to the layout.

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use super::write_file;
+use super::{decimal_seconds, write_file};
 use crate::Audited;
 use crate::diagnosis::AlignedSamples;
 use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
@@ -46,13 +46,9 @@ impl Audited {
 
 /// Stamps in s with nine decimals.
 fn trajectory(t_s: &[f64], poses: &[Pose], origin: Stamp) -> String {
-    const NANOS: u64 = 1_000_000_000;
     let mut text = "# timestamp tx ty tz qx qy qz qw\n".to_owned();
     for (t_s, pose) in t_s.iter().zip(poses) {
-        let ns = origin.shifted(*t_s).nanos();
-        let sign = if ns < 0 { "-" } else { "" };
-        let (seconds, rest) = (ns.unsigned_abs() / NANOS, ns.unsigned_abs() % NANOS);
-        let _ = write!(text, "{sign}{seconds}.{rest:09}");
+        text.push_str(&decimal_seconds(origin.shifted(*t_s)));
         for number in xyz_of(pose).into_iter().chain(xyzw_from_rotation(&pose.rotation)) {
             let _ = write!(text, " {number:.9}");
         }

@@ -32,7 +32,7 @@ use crate::places::PathRegistry;
 use crate::report::outline::Outline;
 use crate::report::{Report, Trouble};
 use crate::stats::thin;
-use crate::time::Stamp;
+use crate::time::{NANOS_PER_SECOND, Stamp};
 
 pub use channels::{Channel, ChannelMessage, channels};
 pub use problems::{Problem, problems};
@@ -188,7 +188,6 @@ const FK_RGB: [f64; 3] = [0.24, 0.78, 0.43];
 const LOGGED_RGB: [f64; 3] = [0.94, 0.31, 0.24];
 
 fn time(at: Stamp) -> Value {
-    const NANOS_PER_SECOND: i64 = 1_000_000_000;
     json!({ "sec": at.nanos().div_euclid(NANOS_PER_SECOND), "nsec": at.nanos().rem_euclid(NANOS_PER_SECOND) })
 }
 
