@@ -7,10 +7,10 @@ use polars::prelude::{
     Column, DataFrame, DataType, ParquetReader, PolarsError, PolarsResult, SerReader,
 };
 
-use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
+use crate::geometry::Pose;
 use crate::robot::{Chain, JointKind};
 
-use super::{TableError, split_components};
+use super::{TableError, pose_columns};
 
 /// Joint positions from a file, one configuration per row.
 #[derive(Clone, Debug, PartialEq)]
@@ -134,10 +134,7 @@ pub fn kinematics_frame(chain: &Chain, q: &[f64], poses: &[Pose]) -> PolarsResul
             Column::new(name.as_str().into(), positions)
         })
         .collect();
-    let xyz: Vec<[f64; 3]> = poses.iter().map(xyz_of).collect();
-    let xyzw: Vec<[f64; 4]> = poses.iter().map(|pose| xyzw_from_rotation(&pose.rotation)).collect();
-    columns.extend(split_components(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
-    columns.extend(split_components(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    columns.extend(pose_columns("", poses));
     DataFrame::new(poses.len(), columns)
 }
 

@@ -15,7 +15,7 @@ pub use rows::{checks_frame, findings_frame};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
 use crate::diagnosis::AlignedSamples;
-use crate::geometry::{xyz_of, xyzw_from_rotation};
+use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
 use crate::time::Stamp;
 
 /// ns since the epoch of its clock (`i64`; every other column is `f64`).
@@ -30,22 +30,13 @@ const T_S: &str = "t_s";
 fn aligned_frame(aligned: &AlignedSamples, origin: Stamp) -> PolarsResult<DataFrame> {
     let stamps_ns: Vec<i64> = aligned.t_s.iter().map(|&t_s| origin.shifted(t_s).nanos()).collect();
     let mut columns = vec![Column::new(STAMP_NS.into(), stamps_ns), column(T_S, &aligned.t_s)];
-    for (name, poses) in [
-        ("logged", &aligned.logged),
-        ("fk", &aligned.fk),
-        ("corrected", &aligned.corrected),
-        ("fk_at_truth", &aligned.fk_at_truth),
+    for (prefix, poses) in [
+        ("logged_", &aligned.logged),
+        ("fk_", &aligned.fk),
+        ("corrected_", &aligned.corrected),
+        ("fk_at_truth_", &aligned.fk_at_truth),
     ] {
-        let (xyz, xyzw): (Vec<_>, Vec<_>) =
-            poses.iter().map(|pose| (xyz_of(pose), xyzw_from_rotation(&pose.rotation))).unzip();
-        columns.extend(split_components(
-            ["x_m", "y_m", "z_m"].map(|part| format!("{name}_{part}")),
-            &xyz,
-        ));
-        columns.extend(split_components(
-            ["qx", "qy", "qz", "qw"].map(|part| format!("{name}_{part}")),
-            &xyzw,
-        ));
+        columns.extend(pose_columns(prefix, poses));
     }
     let (before, after) = (aligned.before(), aligned.after());
     columns.extend([
@@ -91,6 +82,17 @@ fn column(name: &str, values: &[f64]) -> Column {
     Column::new(name.into(), values)
 }
 
+/// Position and quaternion: `{prefix}x_m` … `{prefix}qw`.
+fn pose_columns<'a>(prefix: &str, poses: impl IntoIterator<Item = &'a Pose>) -> Vec<Column> {
+    let (xyz, xyzw): (Vec<_>, Vec<_>) =
+        poses.into_iter().map(|pose| (xyz_of(pose), xyzw_from_rotation(&pose.rotation))).unzip();
+    let positions =
+        split_components(["x_m", "y_m", "z_m"].map(|part| format!("{prefix}{part}")), &xyz);
+    let rotations =
+        split_components(["qx", "qy", "qz", "qw"].map(|part| format!("{prefix}{part}")), &xyzw);
+    positions.chain(rotations).collect()
+}
+
 /// One column per component of `rows`.
 fn split_components<const N: usize>(
     names: [String; N],
@@ -105,7 +107,7 @@ fn split_components<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+    use crate::geometry::{Vec3, pose, rotation_from_rotvec};
     use polars::prelude::DataType;
 
     const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_001);

@@ -3,12 +3,11 @@ use std::collections::BTreeSet;
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
 use crate::diagnosis::cell_centre_m;
-use crate::geometry::{xyz_of, xyzw_from_rotation};
 use crate::report::ArmWorkspace;
 use crate::robot::{Chain, JointKind};
 use crate::time::Stamp;
 
-use super::split_components;
+use super::{pose_columns, split_components};
 
 /// One row per cell of the base frame that a tip reached.
 pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
@@ -46,17 +45,13 @@ pub(super) fn reached_poses_frame(
     let robots: Vec<&str> = rows.iter().map(|(arm, _)| arm.robot).collect();
     let stamps: Vec<i64> = rows.iter().map(|(_, pose)| origin.shifted(pose.t_s).nanos()).collect();
     let t_s: Vec<f64> = rows.iter().map(|(_, pose)| pose.t_s).collect();
-    let xyz: Vec<[f64; 3]> = rows.iter().map(|(_, pose)| xyz_of(&pose.base_from_tip)).collect();
-    let xyzw: Vec<[f64; 4]> =
-        rows.iter().map(|(_, pose)| xyzw_from_rotation(&pose.base_from_tip.rotation)).collect();
     let samples: Vec<u64> = rows.iter().map(|(_, pose)| pose.samples as u64).collect();
     let mut columns = vec![
         Column::new("robot".into(), robots),
         Column::new(super::STAMP_NS.into(), stamps),
         Column::new(super::T_S.into(), t_s),
     ];
-    columns.extend(split_components(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
-    columns.extend(split_components(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    columns.extend(pose_columns("", rows.iter().map(|(_, pose)| &pose.base_from_tip)));
     columns.push(Column::new("samples".into(), samples));
     let mut known = BTreeSet::new();
     for name in arms.iter().flat_map(|arm| joint_columns(arm.chain)) {
