@@ -65,10 +65,7 @@ pub(super) fn transforms(poses: &[Pose]) -> Transform3D {
 }
 
 pub(super) fn rotation_component(rotation: &Rotation) -> RotationQuat {
-    quaternion(xyzw_from_rotation(rotation))
-}
-
-pub(super) fn quaternion(xyzw: [f64; 4]) -> RotationQuat {
+    let xyzw = xyzw_from_rotation(rotation);
     RotationQuat(Quaternion::from_xyzw(xyzw.map(|component| component as f32)))
 }
 

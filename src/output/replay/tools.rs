@@ -1,14 +1,14 @@
 use re_log_types::EntityPath;
-use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
+use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, TransformAxes3D};
 use re_sdk_types::components::{FillMode, LineStrip3D, Radius};
 
 use super::row_times::RowTimes;
 use super::scene::{
-    ARM_RGB, RECORDED_RGB, drawn_rows, positions, quaternion, radius, static_transform,
+    ARM_RGB, RECORDED_RGB, drawn_rows, positions, radius, static_transform, transforms,
 };
 use super::timeline_writer::{TimelineWriter, entity_path};
 use super::{MAX_ROWS, PoseState, ReplayArm, ReplayCause, ReplayStream, StreamKind};
-use crate::geometry::{Pose, Vec3, xyz_of, xyzw_from_rotation};
+use crate::geometry::{Pose, xyz_of};
 use crate::stats::thin;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
@@ -19,12 +19,9 @@ pub(super) fn draw_tip(
     size_m: f64,
 ) -> Result<(), ReplayCause> {
     let kept = drawn_rows(&arm.corrected);
-    let mut moved = PoseTrack { times: writer.joint_times(arm, &kept), ..PoseTrack::default() };
-    for &row in &kept {
-        let base_from_tip = arm.chain.forward(&positions(arm, &arm.corrected, row));
-        moved.xyz.push(xyz_of(&base_from_tip));
-        moved.xyzw.push(xyzw_from_rotation(&base_from_tip.rotation));
-    }
+    let pose = |&row: &usize| arm.chain.forward(&positions(arm, &arm.corrected, row));
+    let times = writer.joint_times(arm, &kept);
+    let moved = PoseTrack { times, poses: kept.iter().map(pose).collect() };
     let label = format!("{} by FK", arm.chain.tip_name());
     let fill = FillMode::MajorWireframe;
     let tool = Tool { label: &label, is_named: false, rgb: ARM_RGB, fill };
@@ -53,14 +50,14 @@ pub(super) fn draw(
         tool.draw(writer, &reference.join(&entity_path(&[state.entity()])), &moved, size_m)?;
         if stream.kind == StreamKind::Pose {
             let path = reference.join(&entity_path(&[&format!("{}_trail", state.entity())]));
-            draw_trail(writer, &path, &moved.xyz, rgb)?;
+            draw_trail(writer, &path, &moved, rgb)?;
         }
     }
     if stream.kind == StreamKind::Tf {
         return Ok(());
     }
     let by_fk = PoseTrack::new(writer, arm, stream, PoseState::Logged, &stream.aligned.fk);
-    draw_trail(writer, &reference.join(&entity_path(&["fk_trail"])), &by_fk.xyz, RECORDED_RGB)?;
+    draw_trail(writer, &reference.join(&entity_path(&["fk_trail"])), &by_fk, RECORDED_RGB)?;
     if !stream.reference_known {
         return Ok(());
     }
@@ -75,11 +72,9 @@ pub(super) fn draw(
     )
 }
 
-#[derive(Default)]
 struct PoseTrack {
     times: RowTimes,
-    xyz: Vec<[f64; 3]>,
-    xyzw: Vec<[f64; 4]>,
+    poses: Vec<Pose>,
 }
 
 impl PoseTrack {
@@ -97,11 +92,9 @@ impl PoseTrack {
         };
         let kept = thin::even_rows(poses.len(), MAX_ROWS);
         let stamps = kept.iter().map(|&row| writer.stamp(stream.aligned.t_s[row]).shifted(-late_s));
-        let drawn = kept.iter().map(|&row| &poses[row]);
         Self {
             times: writer.row_times(arm, received, stamps),
-            xyz: drawn.clone().map(xyz_of).collect(),
-            xyzw: drawn.map(|pose| xyzw_from_rotation(&pose.rotation)).collect(),
+            poses: kept.iter().map(|&row| poses[row]).collect(),
         }
     }
 }
@@ -131,20 +124,18 @@ impl Tool<'_> {
             .with_show_labels(self.is_named);
         writer.log_static(path, &body)?;
         writer.log_static(path, &TransformAxes3D::new((0.2 * size_m) as f32))?;
-        let poses = Transform3D::update_fields()
-            .with_many_translation(moved.xyz.iter().copied())
-            .with_many_quaternion(moved.xyzw.iter().copied().map(quaternion));
-        writer.log_columns(path, &moved.times, poses.columns_of_unit_batches()?)
+        let columns = transforms(&moved.poses).columns_of_unit_batches()?;
+        writer.log_columns(path, &moved.times, columns)
     }
 }
 
 fn draw_trail(
     writer: &TimelineWriter,
     path: &EntityPath,
-    xyz: &[[f64; 3]],
+    moved: &PoseTrack,
     rgb: [u8; 3],
 ) -> Result<(), ReplayCause> {
-    let strip = LineStrips3D::new([LineStrip3D::from_iter(xyz.iter().copied())])
+    let strip = LineStrips3D::new([LineStrip3D::from_iter(moved.poses.iter().map(xyz_of))])
         .with_colors([rgb])
         .with_radii([Radius::new_ui_points(1.0)]);
     writer.log_static(path, &strip)
@@ -165,10 +156,11 @@ fn draw_errors(
         .with_labels([format!("error × {times}")])
         .with_show_labels(false);
     writer.log_static(path, &style)?;
-    let pairs = by_fk.xyz.iter().zip(&logged.xyz);
-    let vectors = pairs.map(|(fk, logged)| times * (Vec3::from(*logged) - Vec3::from(*fk)));
-    let vectors = vectors.map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
-    let origins = by_fk.xyz.iter().map(|xyz| xyz.map(|part| part as f32));
+    let pairs = by_fk.poses.iter().zip(&logged.poses);
+    let vectors = pairs
+        .map(|(fk, logged)| times * (logged.translation.vector - fk.translation.vector))
+        .map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
+    let origins = by_fk.poses.iter().map(|pose| xyz_of(pose).map(|part| part as f32));
     let arrows = Arrows3D::update_fields().with_vectors(vectors).with_origins(origins);
     writer.log_columns(path, &logged.times, arrows.columns_of_unit_batches()?)
 }
