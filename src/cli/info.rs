@@ -57,13 +57,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         poseaudit::info(&options)
     })?;
     output::emit(None, |out| write(&report, out))?;
-    if let Some(trouble) = &report.error {
-        output::error(trouble);
-    }
-    Ok(match &report.error {
-        Some(trouble) => trouble.kind.into(),
-        None => Outcome::Clean,
-    })
+    report.error.map_or(Ok(Outcome::Clean), Err)
 }
 
 fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {

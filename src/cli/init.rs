@@ -67,11 +67,5 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     output::emit(output.as_deref(), |out| {
         out.write_all(config::template(&report, all).as_bytes())
     })?;
-    if let Some(trouble) = &report.error {
-        output::error(trouble);
-    }
-    Ok(match &report.error {
-        Some(trouble) => trouble.kind.into(),
-        None => Outcome::Clean,
-    })
+    report.error.map_or(Ok(Outcome::Clean), Err)
 }
