@@ -74,10 +74,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => text(&comparison, out),
         Format::Markdown => markdown(&comparison, out),
-        Format::Json => {
-            serde_json::to_writer_pretty(&mut *out, &comparison)?;
-            writeln!(out)
-        }
+        Format::Json => output::write_json(out, &comparison),
     })?;
     let is_open = options.policy.fail_on_inconclusive && new.verdict == Verdict::Inconclusive;
     Ok(if comparison.regression || is_open { Outcome::Findings } else { Outcome::Clean })

@@ -172,10 +172,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let summary = Summary::new(&out, &outcomes, (fail_on, fails_open));
     output::emit(args.output.as_deref(), |to| match args.format {
         Format::Text => summary.text(to),
-        Format::Json => {
-            serde_json::to_writer_pretty(&mut *to, &summary)?;
-            writeln!(to)
-        }
+        Format::Json => output::write_json(to, &summary),
     })?;
     let logs = outcomes.logs - outcomes.duplicates;
     Ok(match outcomes.count_unaudited() {

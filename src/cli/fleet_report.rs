@@ -107,10 +107,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         Format::Text => write_text(&report, out),
         Format::Html => write_html(&report, out),
         Format::Markdown => write_markdown(&report, out),
-        Format::Json => {
-            serde_json::to_writer_pretty(&mut *out, &report)?;
-            writeln!(out)
-        }
+        Format::Json => output::write_json(out, &report),
     })?;
     Ok(if report.failing { Outcome::Findings } else { Outcome::Clean })
 }

@@ -10,6 +10,7 @@ use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use comfy_table::{Table, presets};
 use poseaudit::report::{Trouble, escape_direction, sanitize, write_whole};
+use serde::Serialize;
 
 use super::messages;
 
@@ -60,6 +61,12 @@ pub fn columns() -> Option<usize> {
     let set = std::env::var("COLUMNS").ok().and_then(|text| text.parse().ok());
     let own = || terminal_size::terminal_size_of(io::stdout()).map(|(width, _)| width.0.into());
     set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(DEFAULT_COLUMNS))
+}
+
+/// Indented, with a final newline.
+pub fn write_json(out: &mut dyn Write, value: &impl Serialize) -> io::Result<()> {
+    serde_json::to_writer_pretty(&mut *out, value)?;
+    writeln!(out)
 }
 
 /// Writes to the file at `path`, creating its parents, or to stdout, with bidirectional control characters

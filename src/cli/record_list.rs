@@ -85,10 +85,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let answers: Vec<Answer> = QUESTIONS.iter().map(|question| source.answer(question)).collect();
     output::emit(None, |out| match args.format {
         Format::Text => source.write(&answers, out),
-        Format::Json => {
-            serde_json::to_writer_pretty(&mut *out, &source.as_json(&answers))?;
-            writeln!(out)
-        }
+        Format::Json => output::write_json(out, &source.as_json(&answers)),
     })?;
     Ok(Outcome::Clean)
 }

@@ -31,8 +31,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     output::emit(None, |out| match (args.format, args.name.is_some()) {
         (Format::Json, _) => {
             let robots: Vec<Value> = robots.iter().map(|robot| as_json(robot)).collect();
-            serde_json::to_writer_pretty(&mut *out, &robots)?;
-            writeln!(out)
+            output::write_json(out, &robots)
         }
         (Format::Text, false) => writeln!(out, "{}", robot_table(&robots).trim_fmt()),
         (Format::Text, true) => robots.iter().try_for_each(|robot| {

@@ -24,8 +24,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     output::emit(None, |out| match args.format {
         Format::Json => {
             let rules: Vec<Value> = rules.iter().map(|rule| as_json(rule)).collect();
-            serde_json::to_writer_pretty(&mut *out, &rules)?;
-            writeln!(out)
+            output::write_json(out, &rules)
         }
         Format::Text => {
             let mut table = output::table(["code", "name", "severity", "what is wrong"]);

@@ -36,8 +36,7 @@ pub fn emit(report: &Report, reports: &ReportOptions) -> Result<(), Trouble> {
     let rows = count_by_rule(&report.findings);
     output::emit(path, |out| {
         if !format.is_text() {
-            serde_json::to_writer_pretty(&mut *out, &rows)?;
-            return writeln!(out);
+            return output::write_json(out, &rows);
         }
         let mut table = output::table(["count", "code", "name", "severity"]);
         for RuleCount { code, name, severity, count } in &rows {
