@@ -55,12 +55,8 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 
 /// Next to this program, as in a Python environment, else on the PATH.
 fn find_program() -> Result<PathBuf, Trouble> {
-    let name = format!("{PROGRAM}{}", env::consts::EXE_SUFFIX);
     let own = env::current_exe().ok().and_then(|path| Some(path.parent()?.to_owned()));
-    let folders = env::var_os("PATH").unwrap_or_default();
-    let folders = own.into_iter().chain(env::split_paths(&folders));
-    let mut programs = folders.map(|folder| folder.join(&name));
-    programs.find(|program| program.is_file()).ok_or_else(|| {
+    super::find_program(PROGRAM, own).ok_or_else(|| {
         let what = format!("{PROGRAM} is not installed: the command is part of the Python package");
         misuse("dataset", what, "run `python -m poseaudit dataset` after `pip install poseaudit`")
     })

@@ -29,6 +29,7 @@ mod tf;
 mod view;
 mod watch;
 
+use std::env;
 use std::fmt::Display;
 use std::path::PathBuf;
 
@@ -153,7 +154,7 @@ fn dispatch(command: Command) -> Result<Outcome, Trouble> {
 
 /// Error for a log in place of a command; `clap` reports all others and exits.
 fn parse_trouble(error: clap::Error) -> Trouble {
-    let first = std::env::args_os().nth(1).map(PathBuf::from);
+    let first = env::args_os().nth(1).map(PathBuf::from);
     match first.filter(|path| error.kind() == ErrorKind::InvalidSubcommand && path.exists()) {
         Some(path) => {
             let path = path.display().to_string();
@@ -215,6 +216,15 @@ fn fault_line(what: &str) -> String {
         "poseaudit {} failed (internal error): {what}; please report this line, with the log if possible",
         env!("CARGO_PKG_VERSION")
     )
+}
+
+/// The program `name` in the first folder that has it: `own`, or one on the PATH.
+fn find_program(name: &str, own: Option<PathBuf>) -> Option<PathBuf> {
+    let name = format!("{name}{}", env::consts::EXE_SUFFIX);
+    let folders = env::var_os("PATH").unwrap_or_default();
+    let folders = own.into_iter().chain(env::split_paths(&folders));
+    let mut programs = folders.map(|folder| folder.join(&name));
+    programs.find(|program| program.is_file())
 }
 
 fn misuse(place: impl Display, what: impl Display, remedy: impl Display) -> Trouble {

@@ -8,7 +8,7 @@ use std::{env, fs, io};
 use poseaudit::report::Trouble;
 use tempfile::TempPath;
 
-use super::misuse;
+use super::{find_program, misuse};
 
 pub const VIEW_OPTION: &str = "--view";
 
@@ -16,10 +16,7 @@ const PROGRAM: &str = "rerun";
 
 /// Finds the viewer for an option. Fails if it is not on the PATH.
 pub fn find_viewer(option: &str) -> Result<PathBuf, Trouble> {
-    let name = format!("{PROGRAM}{}", env::consts::EXE_SUFFIX);
-    let folders = env::var_os("PATH").unwrap_or_default();
-    let program = env::split_paths(&folders).map(|folder| folder.join(&name));
-    program.into_iter().find(|program| program.is_file()).ok_or_else(|| {
+    find_program(PROGRAM, None).ok_or_else(|| {
         let remedy = "install it with `pip install rerun-sdk==0.36.*`, or write a file with --rrd";
         misuse(option, format!("the viewer `{PROGRAM}` is not on the PATH"), remedy)
     })
