@@ -7,7 +7,7 @@ use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::output::tables::{Configurations, TableError, kinematics_frame, write_frame};
 use poseaudit::places::PathRegistry;
 use poseaudit::report::{Trouble, sanitize_display};
-use poseaudit::robot::{Chain, Robot};
+use poseaudit::robot::{Chain, JointKind, Robot};
 use poseaudit::run::load_robot;
 use serde_json::json;
 
@@ -101,25 +101,32 @@ pub(super) fn chain(
         .map_err(|error| misuse("--tip", error, "name two links with joints between them"))
 }
 
-fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
-    use poseaudit::robot::JointKind::Prismatic;
-    for row in q.chunks_mut(chain.dof()) {
-        for (q, kind) in row.iter_mut().zip(chain.joint_kinds()) {
-            if deg && *kind != Prismatic {
-                *q = q.to_radians();
-            }
-        }
+/// Converts one position per joint, given at `place`, to SI units.
+pub(super) fn configuration(
+    chain: &Chain,
+    given: &[f64],
+    deg: bool,
+    place: &str,
+) -> Result<Vec<f64>, Trouble> {
+    let (found, wanted) = (given.len(), chain.dof());
+    if found != wanted {
+        let names = chain.joint_names().join(", ");
+        let what = format!("{found} joint positions given for {wanted} joints");
+        return Err(misuse(place, what, format!("give one for each of {names}")));
     }
-    q
+    let in_si = |(&q, kind): (&f64, &JointKind)| match deg && *kind != JointKind::Prismatic {
+        true => q.to_radians(),
+        false => q,
+    };
+    Ok(given.iter().zip(chain.joint_kinds()).map(in_si).collect())
 }
 
 /// Warns if a revolute joint is turned so far that its angle is probably in degrees.
 fn warn_of_degrees(chain: &Chain, q: &[f64], args: &Args) {
-    use poseaudit::robot::JointKind::Prismatic;
     /// More than a turn, rad.
     const MAX_USUAL_ANGLE: f64 = 1.1 * std::f64::consts::TAU;
     let kinds = chain.joint_kinds().iter().cycle();
-    let angles = q.iter().zip(kinds).filter(|(_, kind)| **kind != Prismatic);
+    let angles = q.iter().zip(kinds).filter(|(_, kind)| **kind != JointKind::Prismatic);
     let widest = angles.fold(0.0, |widest: f64, (angle, _)| widest.max(angle.abs()));
     if !args.deg && widest > MAX_USUAL_ANGLE {
         output::warning(format!(
@@ -147,13 +154,7 @@ fn convert_file(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Resul
 }
 
 fn print_one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
-    let (found, wanted) = (args.q.len(), chain.dof());
-    if found != wanted {
-        let names = chain.joint_names().join(", ");
-        let what = format!("{found} joint positions given for {wanted} joints");
-        return Err(misuse("fk", what, format!("give one for each of {names}")));
-    }
-    let q = in_si(chain, args.q.clone(), args.deg);
+    let q = configuration(chain, &args.q, args.deg, "fk")?;
     warn_of_degrees(chain, &q, args);
     let base_from_tip = chain.forward(&q);
     output::emit(None, |out| match args.format {

@@ -229,7 +229,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 }
 
 fn plan_motion(args: &Args, arm: &PlannedArm) -> Result<Outcome, Trouble> {
-    let around = arm.configuration(&args.around, args.deg)?;
+    let around = arm.around(args)?;
     let task = build_valid_task(args, arm, around)?;
     let format = args.format.or_else(|| Format::from_extension(args.output.as_deref()?));
     let format = format.unwrap_or(Format::Text);
@@ -264,7 +264,7 @@ fn check_motion(args: &Args, arm: &PlannedArm, file: &Path) -> Result<Outcome, T
     let motion = read::read_motion(file, &arm.chain)?;
     let around = match args.around.is_empty() {
         true => motion.row(0).to_vec(),
-        false => arm.configuration(&args.around, args.deg)?,
+        false => arm.around(args)?,
     };
     let task = PlanTask::from_configuration(args, arm, around);
     let sensing = &task.sensing;

@@ -58,18 +58,8 @@ impl PlannedArm {
         self.chain.joint_kinds()[at] == JointKind::Prismatic
     }
 
-    /// Converts to SI units.
-    pub fn configuration(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
-        let (found, wanted) = (given.len(), self.chain.dof());
-        if found != wanted {
-            let names = self.chain.joint_names().join(", ");
-            let what = format!("{found} joint positions given for {wanted} joints");
-            return Err(misuse("--around", what, format!("give one for each of {names}")));
-        }
-        let in_si = |(at, &q): (usize, &f64)| match degrees && !self.is_prismatic(at) {
-            true => q.to_radians(),
-            false => q,
-        };
-        Ok(given.iter().enumerate().map(in_si).collect())
+    /// The configuration of `--around`, in SI units.
+    pub fn around(&self, args: &Args) -> Result<Vec<f64>, Trouble> {
+        fk::configuration(&self.chain, &args.around, args.deg, "--around")
     }
 }
