@@ -131,11 +131,11 @@ impl FindingContext<'_> {
         let mut evidence = FindingPlots::default();
         match &self.finding.cause {
             Cause::Rotation(_) | Cause::InferredEncoding { .. } => {
-                evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
+                evidence.plots.extend(self.rotations_over_time());
                 let is_whole =
                     |slip| matches!(slip, RotationError::Transposed | RotationError::Inverted);
                 if matches!(self.finding.cause, Cause::Rotation(slip) if is_whole(slip)) {
-                    evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                    evidence.plots.extend(self.positions_over_time());
                 }
                 let of_poses = self.poses().map(|pose| encoding_bars(&pose.encodings));
                 let of_imus = self.imus().map(|imu| encoding_bars(&imu.encodings));
@@ -151,8 +151,8 @@ impl FindingContext<'_> {
             | Cause::Axes { .. }
             | Cause::ReferenceFrame(_)
             | Cause::ToolFrame(_) => {
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
-                evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
+                evidence.plots.extend(self.positions_over_time());
+                evidence.plots.extend(self.rotations_over_time());
             }
             Cause::Compliance
             | Cause::ParameterChange
@@ -160,26 +160,26 @@ impl FindingContext<'_> {
             | Cause::Disagreement { .. }
             | Cause::UnreadOrientations
             | Cause::OtherRobot(_) => {
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
-                evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
+                evidence.plots.extend(self.positions_over_time());
+                evidence.plots.extend(self.rotations_over_time());
                 evidence.plots.extend(self.over_reach());
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::JointZero { .. } => {
                 evidence.whiskers.extend(self.zero_offsets());
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                evidence.plots.extend(self.positions_over_time());
                 evidence.plots.extend(self.over_reach());
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::RadialScale => {
                 evidence.plots.extend(self.over_reach());
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                evidence.plots.extend(self.positions_over_time());
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::Latency(_) => {
                 evidence.plots.extend(self.poses().map(|pose| self.latency_residual(pose)));
                 evidence.plots.extend(self.imus().map(|imu| self.correlation(imu)));
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
+                evidence.plots.extend(self.positions_over_time());
             }
             Cause::ClockSkew(_) | Cause::VaryingLatency => {
                 let of_poses = self.poses().map(|pose| {
@@ -191,15 +191,15 @@ impl FindingContext<'_> {
                 evidence.plots.extend(of_poses.chain(of_imus));
             }
             Cause::YawDrift(_) | Cause::YawJump => {
-                evidence.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
+                evidence.plots.extend(self.yaw_errors());
                 evidence.plots.extend(self.imus().map(heading_plot));
             }
             Cause::FrameTree => evidence.section = Some(("frames", "the tree of frames")),
             Cause::Stamps => evidence.section = Some(("timeline", "when each stream was there")),
             Cause::Pictured(Picture::Stream) => {
-                evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
-                evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
-                evidence.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
+                evidence.plots.extend(self.positions_over_time());
+                evidence.plots.extend(self.rotations_over_time());
+                evidence.plots.extend(self.yaw_errors());
             }
             Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Pictured(_) => {
                 self.add_specific(&mut evidence);
@@ -369,14 +369,17 @@ impl FindingContext<'_> {
         })
     }
 
-    fn yaw_error(&self, imu: &ImuFigure) -> Plot {
-        let mut plot = errors::yaw_error(imu, self.warning_limit(Unit::RadianPerSecond));
-        if let Cause::YawDrift(drift) = &self.finding.cause {
-            let label = "drift found".to_owned();
-            let line = errors::drift_line(&plot.x, drift.value, label, SeriesRole::Reference);
-            plot.series.insert(1, line);
-        }
-        plot
+    fn yaw_errors(&self) -> impl Iterator<Item = Plot> {
+        let limit = self.warning_limit(Unit::RadianPerSecond);
+        self.imus().map(move |imu| {
+            let mut plot = errors::yaw_error(imu, limit);
+            if let Cause::YawDrift(drift) = &self.finding.cause {
+                let label = "drift found".to_owned();
+                let line = errors::drift_line(&plot.x, drift.value, label, SeriesRole::Reference);
+                plot.series.insert(1, line);
+            }
+            plot
+        })
     }
 }
 

@@ -99,12 +99,16 @@ pub(super) fn drift_line(t_s: &[f64], rate: f64, label: String, role: SeriesRole
 }
 
 impl FindingContext<'_> {
-    pub(super) fn position_over_time(&self, pose: &PoseFigure) -> Plot {
-        Plot { mark: self.change_mark(), ..position_over_time(self.report, pose) }
+    pub(super) fn positions_over_time(&self) -> impl Iterator<Item = Plot> {
+        self.over_time(position_over_time)
     }
 
-    pub(super) fn rotation_over_time(&self, pose: &PoseFigure) -> Plot {
-        Plot { mark: self.change_mark(), ..rotation_over_time(self.report, pose) }
+    pub(super) fn rotations_over_time(&self) -> impl Iterator<Item = Plot> {
+        self.over_time(rotation_over_time)
+    }
+
+    fn over_time(&self, plot: fn(&Report, &PoseFigure) -> Plot) -> impl Iterator<Item = Plot> {
+        self.poses().map(move |pose| Plot { mark: self.change_mark(), ..plot(self.report, pose) })
     }
 
     fn change_mark(&self) -> Option<PlotMark> {
