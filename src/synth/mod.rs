@@ -43,9 +43,7 @@ pub use reference::{Commands, ReferenceStream};
 pub use stream_settings::{
     ImuStream, JointStream, LoggedEncoding, OtherTransform, PoseStream, TfStream, Timing,
 };
-pub use structure::{
-    JointWrapping, LeaderStream, MovingBase, SecondPublisher, ToolSlip, write_cell,
-};
+pub use structure::{JointWrapping, LeaderStream, MovingBase, SecondPublisher, ToolSlip};
 pub use target::{BodyAxesPart, Camera, TargetStream};
 pub use task::Task;
 pub use tracker::TrackerStream;
@@ -334,7 +332,14 @@ impl Scenario {
     }
 }
 
-fn write(
+/// Writes several arms as one MCAP file; topics and frames must be distinct.
+///
+/// # Errors
+/// As [`Scenario::write_mcap`].
+///
+/// # Panics
+/// As [`Scenario::write_mcap`].
+pub fn write_cell(
     arms: &[Scenario],
     out: impl Write + Seek,
     compression: Option<Compression>,

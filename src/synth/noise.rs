@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::geometry::{Rotation, Vec3, rotation_from_rotvec};
+use crate::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec};
 
 /// Standard deviations of the streams' noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -131,6 +131,12 @@ pub(super) fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
     for (value, noise) in values.iter_mut().zip(unit_noise) {
         *value += sigma * noise;
     }
+}
+
+/// Position and rotation per axis, by six numbers of `unit_noise`.
+pub(super) fn add_pose_noise(pose: &mut Pose, unit_noise: &[f64], sigma_m: f64, sigma_rad: f64) {
+    pose.translation.vector += sigma_m * Vec3::from_column_slice(&unit_noise[..3]);
+    pose.rotation *= small_rotation(&unit_noise[3..], sigma_rad);
 }
 
 /// `sigma_rad` about each axis, rad.

@@ -3,7 +3,7 @@
 use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
-use super::noise::{Purpose, UnitNoise, add_noise, random, small_rotation};
+use super::noise::{Noise, Purpose, UnitNoise, add_noise, add_pose_noise, random, small_rotation};
 use super::truth::{GRAVITY_M_S2, Truth};
 use super::{
     IMU_FRAME, ImuStream, JointStream, LoggedEncoding, PoseStream, Scenario, Timing, urdf_text,
@@ -128,17 +128,13 @@ fn pose_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
                 pose *= slip.tool_from_slipped;
             }
             let far = scenario.noise.factor_at_distance(pose.translation.vector.norm());
-            let noise = noise.next();
             for (drifted, step) in drifted.iter_mut().zip(walk.next()) {
                 *drifted += step / timing.rate_hz.sqrt();
             }
-            let (walk_m, walk_rad) = scenario.noise.pose_walk;
+            let Noise { pose_m, pose_rad, pose_walk: (walk_m, walk_rad), .. } = scenario.noise;
             pose.translation.vector *= 1.0 + stream.radial_scale_error;
-            pose.translation.vector +=
-                far * scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
-            pose.translation.vector += walk_m * Vec3::from_column_slice(&drifted[..3]);
-            pose.rotation *= small_rotation(&noise[3..], far * scenario.noise.pose_rad);
-            pose.rotation *= small_rotation(&drifted[3..], walk_rad);
+            add_pose_noise(&mut pose, noise.next(), far * pose_m, far * pose_rad);
+            add_pose_noise(&mut pose, &drifted, walk_m, walk_rad);
             if !tick.is_new {
                 pose = last.unwrap_or(pose);
             }

@@ -1,16 +1,12 @@
-//! A cell's log beyond one arm: moving bases, second publishers, wrapped joints, leading hands, several
-//! arms.
+//! A cell's log beyond one arm: moving bases, second publishers, wrapped joints, leading hands.
 
 use std::f64::consts::{PI, TAU};
-use std::io::{Seek, Write};
-
-use mcap::Compression;
 
 use super::messages::{self, LoggedTransform, Topic};
-use super::noise::{Purpose, small_rotation};
+use super::noise::{Noise, Purpose, add_pose_noise};
 use super::streams::Message;
 use super::truth::Truth;
-use super::{LoggedEncoding, Scenario, SynthError, Timing, write};
+use super::{LoggedEncoding, Scenario, Timing};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::JointKind;
 
@@ -121,9 +117,8 @@ pub(super) fn leader_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message
         .map(|tick| {
             let base_from_tip = truth.base_from_tip(tick.time_s + stream.lead_s);
             let mut hand = stream.frame_from_base * base_from_tip * stream.tip_from_hand;
-            let noise = noise.next();
-            hand.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
-            hand.rotation *= small_rotation(&noise[3..], scenario.noise.pose_rad);
+            let Noise { pose_m, pose_rad, .. } = scenario.noise;
+            add_pose_noise(&mut hand, noise.next(), pose_m, pose_rad);
             let logged = LoggedEncoding::Correct.encode(&hand);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Leader, cdr)
@@ -145,19 +140,4 @@ pub(super) fn moving_base_messages(scenario: &Scenario) -> Vec<Message> {
             tick.message(Topic::Tf, messages::tf_message(tick.stamp, &[transform]))
         })
         .collect()
-}
-
-/// Writes several arms as one MCAP file; topics and frames must be distinct.
-///
-/// # Errors
-/// As [`Scenario::write_mcap`].
-///
-/// # Panics
-/// As [`Scenario::write_mcap`].
-pub fn write_cell(
-    arms: &[Scenario],
-    out: impl Write + Seek,
-    compression: Option<Compression>,
-) -> Result<(), SynthError> {
-    write(arms, out, compression)
 }

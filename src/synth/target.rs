@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::messages::{self, LoggedTransform, Topic};
-use super::noise::{Purpose, small_rotation};
+use super::noise::{Noise, Purpose, add_pose_noise};
 use super::streams::Message;
 use super::truth::Truth;
 use super::{LoggedEncoding, Scenario, SynthError, Timing};
@@ -152,11 +152,9 @@ pub(super) fn target_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message
             let stream = &scenario.scenario_at(tick.time_s).target;
             let base_from_tip = truth.base_from_tip(tick.time_s);
             let mut seen = stream.camera_from_target(&base_from_tip, tick.time_s);
-            let noise = noise.next();
-            let shift = Vec3::from_column_slice(&noise[..3]);
+            let Noise { target_m, target_rad, .. } = scenario.noise;
             let far = scenario.noise.factor_at_distance(seen.translation.vector.norm());
-            seen.translation.vector += far * scenario.noise.target_m * shift;
-            seen.rotation *= small_rotation(&noise[3..], far * scenario.noise.target_rad);
+            add_pose_noise(&mut seen, noise.next(), far * target_m, far * target_rad);
             seen.translation.vector *= stream.scale;
             let logged = stream.encoding.encode(&stream.swap_axes(&seen));
             let parent = stream.frame_id.as_str();

@@ -1,7 +1,7 @@
 //! A tracker that observes a marker on the tip.
 
 use super::messages::{self, Topic};
-use super::noise::{Purpose, small_rotation};
+use super::noise::{Purpose, add_pose_noise};
 use super::streams::Message;
 use super::truth::Truth;
 use super::{LoggedEncoding, Scenario, Timing, ToolSlip};
@@ -60,9 +60,7 @@ pub(super) fn tracker_messages(scenario: &Scenario, truth: &Truth) -> Vec<Messag
             if let Some(slip) = stream.slip.as_ref().filter(|slip| slip.is_active(tick.time_s)) {
                 marker *= slip.tool_from_slipped;
             }
-            let noise = noise.next();
-            marker.translation.vector += stream.noise_m * Vec3::from_column_slice(&noise[..3]);
-            marker.rotation *= small_rotation(&noise[3..], stream.noise_rad);
+            add_pose_noise(&mut marker, noise.next(), stream.noise_m, stream.noise_rad);
             let logged = LoggedEncoding::Correct.encode(&marker);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Tracker, cdr)
