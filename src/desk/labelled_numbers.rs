@@ -74,10 +74,8 @@ pub(super) fn parse_labelled(text: &str) -> Result<Option<PoseText>, DeskError> 
         return Ok(parse_numbers_with_units(&tokens, units));
     };
     let position = values(&["x", "y", "z"]).unwrap_or_default();
-    if let Some(twice) =
-        set.names.iter().find(|name| found.iter().filter(|(known, _)| known == *name).count() > 1)
-    {
-        let count = found.iter().filter(|(known, _)| known == twice).count();
+    let count = |name: &&str| found.iter().filter(|(known, _)| known == name).count();
+    if let Some(count) = set.names.iter().map(count).find(|count| *count > 1) {
         return Err(DeskError::Several(count));
     }
     // Mitsubishi also uses A, B and C, about x, y and z; only KUKA encloses them in braces.

@@ -386,8 +386,8 @@ impl Report {
 
     /// Whether rules other than those of the file itself fail a log without an arm.
     pub fn fails_without_arm(&self) -> bool {
-        let reaches = |finding: &Finding| self.fail_on.is_some_and(|it| finding.severity >= it);
-        self.findings.iter().any(|finding| !finding.code.starts_with("ING") && reaches(finding))
+        let mut findings = self.findings.iter().filter(|it| !it.code.starts_with("ING"));
+        findings.any(|finding| self.fails_on(finding.severity))
     }
 
     /// Exit status with its reason, if the verdict does not imply it.

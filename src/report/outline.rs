@@ -20,14 +20,6 @@ pub(crate) struct Outline<'a> {
     has_several_robots: bool,
 }
 
-struct RuleRows<'a> {
-    /// Passed without a remark.
-    passed: Vec<&'a CheckRow>,
-    /// Passed with a remark.
-    passed_with_remark: Vec<&'a CheckRow>,
-    evaluated: usize,
-}
-
 impl<'a> Outline<'a> {
     pub fn new(report: &'a Report) -> Self {
         Self { report, has_several_robots: report.robots.len() > 1 }

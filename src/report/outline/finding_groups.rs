@@ -165,7 +165,6 @@ pub(super) fn plural_kind<'a>(subjects: impl Iterator<Item = &'a Subject> + Clon
     }
 }
 
-/// `, 0.6°`, or empty.
 /// Error on samples that were not fitted, without and with the correction.
 fn held_out_text(evidence: &Evidence) -> Option<String> {
     let residual = evidence.more.get(checks::HELD_OUT)?;
@@ -181,6 +180,7 @@ fn held_out_text(evidence: &Evidence) -> Option<String> {
     Some(format!("on samples that were not fitted, the error falls from {before} to {after} rms"))
 }
 
+/// `, 0.6°`, or empty.
 fn alternative_amount(other: &Alternative) -> String {
     let Some(Estimate::Scalar { value, unit, name, .. }) = &other.estimate else {
         return String::new();

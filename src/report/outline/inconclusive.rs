@@ -132,8 +132,7 @@ impl Outline<'_> {
         }
         let others = match self.recommended_purposes().as_slice() {
             [_, others @ ..] if !others.is_empty() => {
-                let others = others.iter().map(|purpose| format!("--for {}", purpose.name()));
-                format!(" (and again with {})", others.collect::<Vec<_>>().join(", "))
+                format!(" (and again with {})", purpose_options(others))
             }
             _ => String::new(),
         };
@@ -224,10 +223,7 @@ impl Outline<'_> {
         let or = match purposes.as_slice() {
             _ if self.report.plans.is_empty() => String::new(),
             [_] => ", or as planned:".to_owned(),
-            [_, others @ ..] => {
-                let others = others.iter().map(|purpose| format!("--for {}", purpose.name()));
-                format!(", or as planned (then {}):", others.collect::<Vec<_>>().join(", "))
-            }
+            [_, others @ ..] => format!(", or as planned (then {}):", purpose_options(others)),
             [] => String::new(),
         };
         Some(format!("record {DURATION_S} s with {}{or}", parts.join("; ")))
@@ -245,6 +241,11 @@ impl Outline<'_> {
         }
         plans
     }
+}
+
+fn purpose_options(purposes: &[Purpose]) -> String {
+    let options = purposes.iter().map(|purpose| format!("--for {}", purpose.name()));
+    options.collect::<Vec<_>>().join(", ")
 }
 
 /// `None` if the group states it.

@@ -1,6 +1,6 @@
 //! Passed checks and the amounts that they bound.
 
-use super::{Outline, RuleRows, code_ranges, group_by_key};
+use super::{Outline, code_ranges, group_by_key};
 use crate::checks;
 use crate::finding::{Amount, CheckRow, Status, Unit};
 use crate::report::amounts::format_amount;
@@ -75,13 +75,16 @@ impl Outline<'_> {
         }
         let (mut whole, mut parts) = (Vec::new(), Vec::<(Vec<&str>, String)>::new());
         for (code, rows) in group_by_key(self.report.checks.iter(), |row| row.code) {
-            let rows = RuleRows::from_rows(rows);
+            let evaluated = rows.iter().filter(|row| row.status != Status::Skipped).count();
+            let passed = rows.into_iter().filter(|row| row.status == Status::Pass);
+            let (passed, with_remark): (Vec<&CheckRow>, Vec<&CheckRow>) =
+                passed.partition(|row| row.reason.is_none());
             let (bounded, without_amount): (Vec<&CheckRow>, Vec<&CheckRow>) =
-                rows.passed.iter().copied().partition(|row| max_magnitude(row).is_some());
-            let bound = self.bound(code, &bounded, rows.evaluated);
-            let unbounded = if bound.is_some() { without_amount } else { rows.passed };
+                passed.iter().copied().partition(|row| max_magnitude(row).is_some());
+            let bound = self.bound(code, &bounded, evaluated);
+            let unbounded = if bound.is_some() { without_amount } else { passed };
             checks.bounds.extend(bound);
-            if unbounded.len() == rows.evaluated && rows.evaluated > 0 {
+            if unbounded.len() == evaluated && evaluated > 0 {
                 whole.push(code);
             } else if !unbounded.is_empty() {
                 let on = self.subject_suffix(&unbounded);
@@ -90,7 +93,7 @@ impl Outline<'_> {
                     None => parts.push((vec![code], on)),
                 }
             }
-            checks.remarks.extend(rows.passed_with_remark.iter().filter_map(|row| {
+            checks.remarks.extend(with_remark.iter().filter_map(|row| {
                 Some(format!("{code}{}: {}", self.subject_suffix(&[*row]), row.reason.as_ref()?))
             }));
         }
@@ -126,16 +129,6 @@ impl Outline<'_> {
             amounts: (sizes.len() > 1).then_some(sizes.len()),
             subjects: (rows.len() < evaluated).then(|| self.subjects(rows)),
         })
-    }
-}
-
-impl<'a> RuleRows<'a> {
-    fn from_rows(mut rows: Vec<&'a CheckRow>) -> Self {
-        rows.retain(|row| row.status != Status::Skipped);
-        let evaluated = rows.len();
-        let passed = rows.into_iter().filter(|row| row.status == Status::Pass);
-        let (without_remark, with_remark) = passed.partition(|row| row.reason.is_none());
-        Self { passed: without_remark, passed_with_remark: with_remark, evaluated }
     }
 }
 
