@@ -18,6 +18,7 @@ use crate::run::{Arm, Run};
 use crate::stats::Measured;
 
 /// Corrections for the findings of an audit, and the findings without one.
+#[derive(Default)]
 pub(crate) struct CorrectionPlan {
     /// Corrections for an audit.
     pub corrections: Corrections,
@@ -79,16 +80,7 @@ type CorrectionResult = Result<(String, Vec<&'static str>), String>;
 impl CorrectionPlan {
     /// `report` covers `run`, alone or as segment `main`.
     pub fn from_findings(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
-        let mut plan = Self {
-            corrections: Corrections::default(),
-            decodings: Vec::new(),
-            frames: Vec::new(),
-            models: Vec::new(),
-            module: None,
-            unpatched: Vec::new(),
-            corrected: Vec::new(),
-            uncorrected: Vec::new(),
-        };
+        let mut plan = Self::default();
         let context = CorrectionContext { report, run, evidence };
         for finding in &report.findings {
             let label = finding_label(finding);

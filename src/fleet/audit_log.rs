@@ -57,15 +57,15 @@ fn refine_status(status: Status, trouble: &Trouble) -> Status {
 }
 
 fn rows_from_report(task: &Task, report: &Report) -> (AuditAnswer, Result<Tables, PolarsError>) {
-    let trouble = report.error.as_ref();
+    let is_complete = report.error.is_none();
     let answer = AuditAnswer {
-        status: if trouble.is_some() { Status::NotAudited } else { Status::Audited },
-        verdict: trouble.is_none().then_some(report.verdict),
+        status: if is_complete { Status::Audited } else { Status::NotAudited },
+        verdict: is_complete.then_some(report.verdict),
         errors: count_findings(report, Severity::Error),
         warnings: count_findings(report, Severity::Warning),
         infos: count_findings(report, Severity::Info),
     };
-    (answer, Tables::from_report(RunRow { task, answer: &answer }, report, trouble))
+    (answer, Tables::from_report(RunRow { task, answer: &answer }, report))
 }
 
 fn rows_from_trouble(

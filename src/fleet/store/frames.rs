@@ -33,15 +33,9 @@ pub struct RunRow<'a> {
 }
 
 impl Tables {
-    /// `trouble` is the error of an incomplete audit.
-    ///
     /// # Errors
     /// Does not fail for valid reports.
-    pub fn from_report(
-        row: RunRow<'_>,
-        report: &Report,
-        trouble: Option<&Trouble>,
-    ) -> PolarsResult<Self> {
+    pub fn from_report(row: RunRow<'_>, report: &Report) -> PolarsResult<Self> {
         let key = row.task.key.as_str();
         let ignored = report.ignored.iter().map(|ignored| &ignored.finding);
         let findings: Vec<Finding> = report.findings.iter().chain(ignored).cloned().collect();
@@ -54,7 +48,7 @@ impl Tables {
                 Table::Streams => with_row_numbers(key, streams_frame(&report.streams)?)?,
                 Table::Checks => with_row_numbers(key, checks_frame(&report.checks)?)?,
                 Table::Findings => with_row_numbers(key, found.clone())?,
-                Table::Errors => errors_frame(row, trouble)?,
+                Table::Errors => errors_frame(row, report.error.as_ref())?,
                 Table::Runs | Table::Sources => runs_frame(row, Some(report))?,
             };
             Ok((table, frame))
