@@ -307,7 +307,7 @@ fn describe_encoding(encoding: &TargetEncoding) -> String {
     match encoding {
         TargetEncoding::AsLogged => "read as logged".to_owned(),
         TargetEncoding::Axes(axes) => {
-            format!("target positions are {}", hec003_camera_axes::describe_axes(axes))
+            format!("target positions are {}", hec003_camera_axes::describe_axes(*axes))
         }
         TargetEncoding::Transposed => "target rotations are transposed".to_owned(),
         TargetEncoding::QuaternionOrder(_) => {

@@ -4,7 +4,7 @@ use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::TargetEncoding;
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, rounded};
-use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
+use crate::geometry::{Axes, Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
 rule! {
@@ -49,7 +49,7 @@ const MAX_VIEW_ANGLE_RAD: f64 = 35.0 * DEGREE;
 
 pub(super) enum AxisSwap {
     /// Positions and rotations differ.
-    Within([(usize, f64); 3]),
+    Within(Axes),
     /// The whole pose has these axes, the frame name implies the others.
     Whole(CameraAxes),
 }
@@ -102,12 +102,8 @@ fn axes_of_view(view: [f64; 3]) -> Option<CameraAxes> {
 }
 
 /// For instance `(-y, -z, x)`.
-pub(super) fn describe_axes(axes: &[(usize, f64); 3]) -> String {
-    let named = axes.map(|(from, sign)| {
-        let sign = if sign < 0.0 { "-" } else { "" };
-        format!("{sign}{}", ["x", "y", "z"][from % 3])
-    });
-    format!("read as ({})", named.join(", "))
+pub(super) fn describe_axes(axes: Axes) -> String {
+    format!("read as ({})", axes.standard_names(false).join(", "))
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -131,7 +127,7 @@ fn judge(evidence: &HandEyeEvidence) -> SubjectResult {
         .estimated(Estimate::misinterpretation("camera axes", is, read_as))
         .with_evidence("view", diagnosis.view.to_vec());
     match swap {
-        AxisSwap::Within(axes) => judged.with_evidence("reading", describe_axes(&axes)),
+        AxisSwap::Within(axes) => judged.with_evidence("reading", describe_axes(axes)),
         AxisSwap::Whole(_) => judged,
     }
 }
@@ -168,13 +164,8 @@ fn axes_names(swap: &AxisSwap) -> (&'static str, &'static str) {
     match swap {
         AxisSwap::Whole(CameraAxes::Optical) => (optical, body),
         AxisSwap::Whole(CameraAxes::Body) => (body, optical),
-        // Optical x, y, z are body −y, −z, x; body x, y, z are optical z, −x, −y.
-        AxisSwap::Within([(1, a), (2, b), (0, c)]) if (*a, *b, *c) == (-1.0, -1.0, 1.0) => {
-            (body, optical)
-        }
-        AxisSwap::Within([(2, a), (0, b), (1, c)]) if (*a, *b, *c) == (1.0, -1.0, -1.0) => {
-            (optical, body)
-        }
+        AxisSwap::Within(axes) if *axes == Axes::OPTICAL => (optical, body),
+        AxisSwap::Within(axes) if *axes == Axes::OPTICAL.inverse() => (body, optical),
         AxisSwap::Within(_) => ("other axes", "the rotation's axes"),
     }
 }
@@ -186,7 +177,7 @@ fn fault(evidence: &HandEyeEvidence, swap: &AxisSwap) -> Fault {
         AxisSwap::Within(axes) => (
             format!(
                 "positions and rotations have different axes: the chain closes if positions are {}",
-                describe_axes(axes)
+                describe_axes(*axes)
             ),
             "publish position and rotation of the target in one frame".to_owned(),
         ),
@@ -221,13 +212,10 @@ mod tests {
     #[test]
     fn swaps_match_the_rotation_between_optical_and_body_axes() {
         let swap = |turn: Rotation| {
-            let rows = [0, 1, 2].map(|row| {
-                let unit = |axis: usize| (turn * Vec3::ith(axis, 1.0))[row];
-                let from = (0..3).max_by(|&a, &b| unit(a).abs().total_cmp(&unit(b).abs()));
-                let from = from.unwrap_or_default();
-                (from, unit(from).round())
-            });
-            axes_names(&AxisSwap::Within(rows)).0
+            let logged = Vec3::new(1.0, 2.0, 3.0);
+            let is_equal = |axes: &&Axes| (axes.to_standard(logged) - turn * logged).norm() < 1e-9;
+            let axes = Axes::all().iter().find(is_equal).expect("a quarter turn");
+            axes_names(&AxisSwap::Within(*axes)).0
         };
         assert_eq!(swap(body_from_optical().inverse()), CameraAxes::Body.describe());
         assert_eq!(swap(body_from_optical()), CameraAxes::Optical.describe());

@@ -3,8 +3,8 @@
 use super::series::HandEyeSetting;
 use super::{CameraMount, HandEyeStreams};
 use ground::geometry::{
-    MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_xyzw,
-    xyzw_from_rotation,
+    Axes, MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3, pose,
+    rotation_from_xyzw, xyzw_from_rotation,
 };
 use ground::stats::Measured;
 use ground::stats::thin::thinned;
@@ -14,9 +14,8 @@ use ground::stats::thin::thinned;
 pub enum TargetEncoding {
     /// As logged.
     AsLogged,
-    /// Positions and rotations use different axes: index and sign of the position coordinate per rotation
-    /// axis.
-    Axes([(usize, f64); 3]),
+    /// Positions and rotations use different axes: those of the positions, if the rotations use the standard ones.
+    Axes(Axes),
     /// Only the rotations are transposed.
     Transposed,
     /// Quaternion components are permuted.
@@ -71,7 +70,7 @@ impl TargetEncoding {
         let (xyz, rotation) = (logged.translation.vector, logged.rotation);
         match self {
             Self::AsLogged => *logged,
-            Self::Axes(axes) => pose(axes.map(|(from, sign)| sign * xyz[from]), rotation),
+            Self::Axes(axes) => pose(axes.to_standard(xyz).into(), rotation),
             Self::Transposed => pose(xyz.into(), rotation.inverse()),
             Self::QuaternionOrder(error) => {
                 let meant = rotation_from_xyzw(error.true_xyzw(xyzw_from_rotation(&rotation)));

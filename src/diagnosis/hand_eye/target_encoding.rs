@@ -6,7 +6,7 @@ use super::decoded_target::{TargetEncoding, TargetScaleError};
 use super::start::{angle_difference, solve_closed_form_quick};
 use super::target_scale::estimate_scale_error;
 use super::{CameraMount, HandEyeSolution, HandEyeStreams, solve};
-use ground::geometry::{QuaternionOrderError, misinterpretation_classes};
+use ground::geometry::{Axes, QuaternionOrderError, misinterpretation_classes};
 
 /// Relative to the logged encoding.
 const MAX_RESIDUAL_RATIO: f64 = 1.0 / 3.0;
@@ -107,7 +107,8 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
             TargetEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw),
             TargetEncoding::QuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz),
         ];
-        same_angles.extend(signed_permutations().map(TargetEncoding::Axes));
+        let others = Axes::all().iter().filter(|axes| **axes != Axes::STANDARD);
+        same_angles.extend(others.copied().map(TargetEncoding::Axes));
         return same_angles;
     }
     let encodings = misinterpretation_classes().iter().map(TargetEncoding::Misinterpreted);
@@ -116,17 +117,4 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     differences.retain(|(difference, _)| *difference < MAX_RESIDUAL_RATIO * as_logged);
     differences.sort_by(|a, b| a.0.total_cmp(&b.0));
     differences.into_iter().take(MAX_ENCODINGS).map(|(_, encoding)| encoding).collect()
-}
-
-/// All 47 others, including left-handed ones.
-fn signed_permutations() -> impl Iterator<Item = [(usize, f64); 3]> {
-    const ORDERS: [[usize; 3]; 6] =
-        [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
-    let all = ORDERS.into_iter().flat_map(|order| {
-        (0..8_usize).map(move |signs| {
-            let sign = |axis: usize| if signs >> axis & 1 == 0 { 1.0 } else { -1.0 };
-            [0, 1, 2].map(|axis| (order[axis], sign(axis)))
-        })
-    });
-    all.skip(1)
 }

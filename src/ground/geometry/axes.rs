@@ -24,6 +24,9 @@ impl Axes {
     /// Unity: x right, y up, z forward, left-handed.
     pub const UNITY: Self = Self { along: [1, 2, 0], reversed: [true, false, false] };
 
+    /// Optical frame of a camera (REP 103): x right, y down, z forward.
+    pub const OPTICAL: Self = Self { along: [1, 2, 0], reversed: [true, true, false] };
+
     /// All 48, fewest changed axes first.
     pub fn all() -> &'static [Self] {
         static ALL: LazyLock<Vec<Axes>> = LazyLock::new(|| {
