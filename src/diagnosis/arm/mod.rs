@@ -59,7 +59,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64)
         (encoding, result) = (Err(NotObservable::NotExcited), search.as_logged().clone());
     }
     if encoding.as_ref().map_or(true, JointEncoding::is_as_logged) {
-        result = search.or_standard(result);
+        result = search.logged.or_standard(result);
     } else if search.spoils_agreement(&result) {
         (encoding, result) = (Ok(as_logged), search.as_logged().clone());
     }
@@ -80,75 +80,112 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64)
     }
 }
 
+/// Joint states in an encoding, and the encodings of the streams' positions that they show.
+struct EncodedRun<'a> {
+    joints: &'a JointTrack,
+    corrected: CorrectedJoints,
+    streams: &'a [PoseStream<'a>],
+    position_encodings: Vec<PositionEncodingEstimate>,
+}
+
+impl<'a> EncodedRun<'a> {
+    fn new(
+        joints: &'a JointTrack,
+        corrected: CorrectedJoints,
+        streams: &'a [PoseStream<'a>],
+        max_lag_s: f64,
+    ) -> Self {
+        let track = corrected.approximate_track();
+        let estimate =
+            |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, max_lag_s);
+        let position_encodings = streams.iter().map(estimate).collect();
+        Self { joints, corrected, streams, position_encodings }
+    }
+
+    fn diagnose(&self) -> EncodingResult {
+        self.diagnose_with(&self.position_encodings)
+    }
+
+    /// The same with other encodings of the positions.
+    fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> EncodingResult {
+        diagnose(self.joints, &self.corrected, self.streams, position_encodings)
+    }
+
+    /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
+    /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
+    fn or_standard(&self, result: EncodingResult) -> EncodingResult {
+        let is_otherwise_placed =
+            |stream: &PoseDiagnosis| stream.is_inverted || matches!(stream.axes, Ok(Some(_)));
+        let are_otherwise_placed = result.streams.iter().any(is_otherwise_placed);
+        let is_misread_slightly =
+            |stream: &PoseDiagnosis| is_misread(stream) && may_be_as_logged(stream);
+        if !are_otherwise_placed && !result.streams.iter().any(is_misread_slightly) {
+            return result;
+        }
+        let standard: Vec<PositionEncodingEstimate> =
+            self.position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
+        let standard = self.diagnose_with(&standard);
+        let is_explained = standard.largest_unexplained().is_none()
+            || standard.total_residual_m() <= result.total_residual_m();
+        let is_sufficient = is_explained
+            && standard.is_close_to_fk()
+            && standard.parameter_count() <= result.parameter_count();
+        // A small misreading is near FK, too.
+        let is_near = are_otherwise_placed && standard.streams.iter().all(is_near_as_logged);
+        if is_near || is_sufficient { standard } else { result }
+    }
+}
+
 /// Search for the encoding of the joint states.
 struct EncodingSearch<'a> {
-    joints: &'a JointTrack,
-    streams: &'a [PoseStream<'a>],
+    logged: EncodedRun<'a>,
     max_lag_s: f64,
-    is_prismatic: Vec<bool>,
-    position_encodings: Vec<PositionEncodingEstimate>,
     as_logged: OnceCell<EncodingResult>,
     has_change: OnceCell<bool>,
 }
 
 impl<'a> EncodingSearch<'a> {
     fn new(joints: &'a JointTrack, streams: &'a [PoseStream<'a>], max_lag_s: f64) -> Self {
-        Self {
-            joints,
-            streams,
-            max_lag_s,
-            is_prismatic: prismatic_columns(joints.dof, streams),
-            position_encodings: position_encodings(joints, streams, max_lag_s),
-            as_logged: OnceCell::new(),
-            has_change: OnceCell::new(),
-        }
-    }
-
-    fn corrected(&self, encoding: &JointEncoding) -> CorrectedJoints {
-        CorrectedJoints::new(self.joints, encoding, &self.is_prismatic)
+        let corrected = decode_joints(joints, streams, &JointEncoding::default());
+        let logged = EncodedRun::new(joints, corrected, streams, max_lag_s);
+        Self { logged, max_lag_s, as_logged: OnceCell::new(), has_change: OnceCell::new() }
     }
 
     fn diagnose_as(&self, encoding: &JointEncoding) -> EncodingResult {
-        let corrected = self.corrected(encoding);
-        let reestimated = (*encoding != JointEncoding::default()).then(|| {
-            position_encodings(corrected.approximate_track(), self.streams, self.max_lag_s)
-        });
-        let position_encodings = reestimated.as_ref().unwrap_or(&self.position_encodings);
-        diagnose(self.joints, &corrected, self.streams, position_encodings)
+        if *encoding == JointEncoding::default() {
+            return self.logged.diagnose();
+        }
+        let EncodedRun { joints, streams, .. } = self.logged;
+        let corrected = decode_joints(joints, streams, encoding);
+        EncodedRun::new(joints, corrected, streams, self.max_lag_s).diagnose()
     }
 
     fn as_logged(&self) -> &EncodingResult {
-        self.as_logged.get_or_init(|| self.diagnose_as(&JointEncoding::default()))
-    }
-
-    fn or_standard(&self, result: EncodingResult) -> EncodingResult {
-        let corrected = self.corrected(&JointEncoding::default());
-        result.or_standard(&self.position_encodings, |standard| {
-            diagnose(self.joints, &corrected, self.streams, standard)
-        })
+        self.as_logged.get_or_init(|| self.logged.diagnose())
     }
 
     /// A stream that agrees with the joint states as logged must still do so.
     fn spoils_agreement(&self, result: &EncodingResult) -> bool {
-        self.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
+        self.logged.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
     }
 
     fn has_change(&self, metres: &[f64]) -> bool {
-        let by_motion = || has_change_within_run(self.joints, self.streams, metres, self.max_lag_s);
+        let EncodedRun { joints, streams, .. } = self.logged;
+        let by_motion = || has_change_within_run(joints, streams, metres, self.max_lag_s);
         *self.has_change.get_or_init(by_motion)
     }
 
     /// Encoding by the motion, and the unit of each stream's positions.
     fn estimate(&self) -> (EstimateResult<JointEncoding>, Vec<f64>) {
-        let &Self { joints, streams, max_lag_s, .. } = self;
+        let EncodedRun { joints, corrected, streams, position_encodings } = &self.logged;
+        let max_lag_s = self.max_lag_s;
         let metres: Vec<f64> =
-            self.position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
-        let corrected = self.corrected(&JointEncoding::default());
+            position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
         let is_confirmed = |(stream, encoding): (&PoseStream, &PositionEncodingEstimate)| {
             encoding.needs_correction()
-                && decode_stream(&corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
+                && decode_stream(corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
         };
-        if streams.iter().zip(&self.position_encodings).any(is_confirmed) {
+        if streams.iter().zip(position_encodings).any(is_confirmed) {
             // The joint states need no other encoding.
             return (Ok(JointEncoding::default()), metres);
         }
@@ -176,7 +213,8 @@ impl<'a> EncodingSearch<'a> {
         if before_m <= FLOOR_M || self.has_change(metres) {
             return None;
         }
-        let all = likely_encodings(self.joints, self.streams, metres, self.max_lag_s);
+        let EncodedRun { joints, streams, .. } = self.logged;
+        let all = likely_encodings(joints, streams, metres, self.max_lag_s);
         let explains = |likely: LikelyEncoding| {
             let by_likely = self.diagnose_as(&likely.encoding);
             let after_m = by_likely.total_residual_m();
@@ -195,10 +233,11 @@ impl<'a> EncodingSearch<'a> {
         result: &EncodingResult,
     ) -> Option<(JointEncoding, EncodingResult)> {
         let (index, residual) = result.largest_unexplained()?;
-        let (stream, found) = (&self.streams[index], &result.streams[index]);
+        let joints = self.logged.joints;
+        let (stream, found) = (&self.logged.streams[index], &result.streams[index]);
         let lag_s = match &found.latency_s {
             Ok(latency) => latency.value,
-            Err(_) => stream_lag_s(self.joints, stream, self.max_lag_s),
+            Err(_) => stream_lag_s(joints, stream, self.max_lag_s),
         };
         // Rotations in an unknown convention show whether the last joint is reversed, positions do not.
         let is_unread = match &found.encoding {
@@ -209,7 +248,7 @@ impl<'a> EncodingSearch<'a> {
             Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
         };
         let by_residual = match self.has_change(metres) {
-            false => other_encoding(self.joints, stream, metres[index], lag_s, residual),
+            false => other_encoding(joints, stream, metres[index], lag_s, residual),
             true => None,
         };
         let last = stream.columns.last().filter(|_| is_unread);
@@ -230,25 +269,15 @@ impl<'a> EncodingSearch<'a> {
         result: EncodingResult,
     ) -> ArmDiagnosis {
         let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
-        let is_plausible = is_far && self.as_logged().is_plausible_for(self.streams);
+        let is_plausible = is_far && self.as_logged().is_plausible_for(self.logged.streams);
         let otherwise = result.into_diagnosis(encoding);
-        let as_logged = self.or_standard(self.as_logged().clone());
+        let as_logged = self.logged.or_standard(self.as_logged().clone());
         let as_logged = as_logged.into_diagnosis(Ok(JointEncoding::default()));
         match !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0 {
             true => otherwise,
             false => as_logged,
         }
     }
-}
-
-fn position_encodings(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    max_lag_s: f64,
-) -> Vec<PositionEncodingEstimate> {
-    let estimate =
-        |stream: &PoseStream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s);
-    streams.iter().map(estimate).collect()
 }
 
 /// Diagnoses joint states in this encoding, without looking for another. Scales and couplings are refined.
@@ -258,14 +287,9 @@ pub(super) fn diagnose_arm_encoded(
     max_lag_s: f64,
     encoding: JointEncoding,
 ) -> ArmDiagnosis {
-    let corrected =
-        CorrectedJoints::new(joints, &encoding, &prismatic_columns(joints.dof, streams));
-    let position_encodings = position_encodings(corrected.approximate_track(), streams, max_lag_s);
-    let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
-        diagnose(joints, &corrected, streams, position_encodings)
-    };
-    let result = diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
-    result.into_diagnosis(Ok(encoding))
+    let corrected = decode_joints(joints, streams, &encoding);
+    let run = EncodedRun::new(joints, corrected, streams, max_lag_s);
+    run.or_standard(run.diagnose()).into_diagnosis(Ok(encoding))
 }
 
 /// Counts as 1: less than 0.1° per turn.
@@ -289,34 +313,6 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
-    /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
-    /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
-    fn or_standard(
-        self,
-        position_encodings: &[PositionEncodingEstimate],
-        diagnose: impl FnOnce(&[PositionEncodingEstimate]) -> Self,
-    ) -> Self {
-        let is_otherwise_placed =
-            |stream: &PoseDiagnosis| stream.is_inverted || matches!(stream.axes, Ok(Some(_)));
-        let are_otherwise_placed = self.streams.iter().any(is_otherwise_placed);
-        let is_misread_slightly =
-            |stream: &PoseDiagnosis| is_misread(stream) && may_be_as_logged(stream);
-        if !are_otherwise_placed && !self.streams.iter().any(is_misread_slightly) {
-            return self;
-        }
-        let standard: Vec<PositionEncodingEstimate> =
-            position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
-        let standard = diagnose(&standard);
-        let is_explained = standard.largest_unexplained().is_none()
-            || standard.total_residual_m() <= self.total_residual_m();
-        let is_sufficient = is_explained
-            && standard.is_close_to_fk()
-            && standard.parameter_count() <= self.parameter_count();
-        // A small misreading is near FK, too.
-        let is_near = are_otherwise_placed && standard.streams.iter().all(is_near_as_logged);
-        if is_near || is_sufficient { standard } else { self }
-    }
-
     /// Whether each stream in a known frame is near FK as logged, and each other one is explained.
     fn is_plausible_for(&self, streams: &[PoseStream]) -> bool {
         let is_plausible = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
@@ -548,12 +544,9 @@ pub fn diagnose_derived(
     max_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let is_prismatic = prismatic_columns(joints.dof, streams);
     let diagnose_as = |encoding: &JointEncoding| {
-        let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic).for_derived();
-        let position_encodings =
-            [PositionEncodingEstimate::estimate(&corrected.track, stream, max_lag_s)];
-        diagnose(joints, &corrected, streams, &position_encodings).streams.remove(0)
+        let corrected = decode_joints(joints, streams, encoding).for_derived();
+        EncodedRun::new(joints, corrected, streams, max_lag_s).diagnose().streams.remove(0)
     };
     let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
@@ -597,14 +590,19 @@ pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) 
     stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, max_lag_s)
 }
 
-fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
-    let mut prismatic = vec![false; dof];
+/// Joint states in this encoding.
+fn decode_joints(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    encoding: &JointEncoding,
+) -> CorrectedJoints {
+    let mut is_prismatic = vec![false; joints.dof];
     for stream in streams {
         for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
-            prismatic[column] = *kind == JointKind::Prismatic;
+            is_prismatic[column] = *kind == JointKind::Prismatic;
         }
     }
-    prismatic
+    CorrectedJoints::new(joints, encoding, &is_prismatic)
 }
 
 fn diagnose(
