@@ -8,6 +8,7 @@ use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::arm_run::ArmRun;
 use crate::priors::price;
 use crate::samples::sampling::value_range;
+use crate::selection::stepwise::{ScoredSet, grow};
 use crate::{ChangePoint, Course};
 use ground::stats::Measured;
 use std::ops::Range;
@@ -184,14 +185,14 @@ impl<'a> ComplianceSearch<'a> {
         let every: Vec<usize> = (0..terms.len()).collect();
         let (without_terms, with_all) = (cost(&[]), cost(&every));
         let price = price(system.independent());
-        let worth = |index: usize| {
-            (price * terms[index].width() as f64)
-                .max(MIN_EXPLAINED_SHARE * (without_terms - with_all))
-        };
+        let min_worth = MIN_EXPLAINED_SHARE * (without_terms - with_all);
+        let worth = |&index: &usize| (price * terms[index].width() as f64).max(min_worth);
+        let score = |set: &[usize]| cost(set) + set.iter().map(worth).sum::<f64>();
         let candidates: Vec<usize> =
             every.into_iter().filter(|&index| is_candidate(&terms[index])).collect();
-        let set = select_terms(&candidates, without_terms, &cost, &worth);
-        set.into_iter().map(|index| terms[index]).collect()
+        let none = ScoredSet { members: Vec::new(), score: without_terms };
+        let selected = grow(&candidates, none, score).members;
+        selected.into_iter().map(|index| terms[index]).collect()
     }
 
     /// Small sets. The first has no eccentricity; a second follows if eccentricity is selected.
@@ -316,41 +317,6 @@ fn coefficients(terms: &[ComplianceTerm]) -> Vec<Range<usize>> {
         end - term.width()..end
     };
     terms.iter().map(own).collect()
-}
-
-/// Stepwise selection that minimises cost plus price. `without_terms` is the cost of the empty set.
-fn select_terms(
-    candidates: &[usize],
-    without_terms: f64,
-    cost: &dyn Fn(&[usize]) -> f64,
-    worth: &dyn Fn(usize) -> f64,
-) -> Vec<usize> {
-    let (mut set, mut now): (Vec<usize>, f64) = (Vec::new(), without_terms);
-    for _ in 0..2 * candidates.len() {
-        let grown = candidates.iter().filter(|index| !set.contains(index)).map(|&index| {
-            let with: Vec<usize> = set.iter().copied().chain([index]).collect();
-            (index, cost(&with))
-        });
-        let best = grown.min_by(|a, b| (a.1 + worth(a.0)).total_cmp(&(b.1 + worth(b.0))));
-        let Some((index, after)) = best.filter(|(index, after)| now - after > worth(*index)) else {
-            break;
-        };
-        set.push(index);
-        now = after;
-        // A later term can make it redundant.
-        loop {
-            let fewer = (0..set.len()).map(|at| {
-                let mut fewer = set.clone();
-                fewer.remove(at);
-                (at, cost(&fewer))
-            });
-            let needless = fewer.filter(|(at, without)| without - now < worth(set[*at]));
-            let Some((at, without)) = needless.min_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-            set.remove(at);
-            now = without;
-        }
-    }
-    set
 }
 
 /// Indexed by stream, sample and joint.

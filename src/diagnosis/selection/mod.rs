@@ -5,4 +5,5 @@ pub(crate) mod held_out;
 pub(crate) mod link_deviations;
 pub(crate) mod model_selection;
 pub(crate) mod nominal_model;
+pub(crate) mod stepwise;
 pub(crate) mod tool_preference;

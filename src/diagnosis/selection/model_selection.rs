@@ -3,6 +3,7 @@
 //! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
 
 use super::nominal_model::rms;
+use super::stepwise::{ScoredSet, grow};
 use crate::Measured;
 use crate::model::measurement::{
     LATENCY_COLUMN, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, RADIAL_SCALE_COLUMN,
@@ -293,15 +294,8 @@ impl CandidateCauses {
     }
 }
 
-/// Smaller scores are better.
-#[derive(Clone, Debug)]
-pub(crate) struct CauseSet {
-    pub causes: Vec<Cause>,
-    /// Weighted cost plus price.
-    pub score: f64,
-}
-
-fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> CauseSet {
+/// Optional causes with the lowest weighted cost plus price, ascending.
+fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> Vec<Cause> {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = candidates.always.iter().chain(set).copied().collect();
@@ -312,8 +306,7 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         linear.cost(&parameters) + price * optional as f64
     };
-    let scored = |causes: Vec<Cause>| CauseSet { score: score_of(&causes), causes };
-    let mut best = scored(Vec::new());
+    let mut best = ScoredSet { members: Vec::new(), score: score_of(&[]) };
     // Lower bound on the cost of any set.
     let min_cost = linear.cost(&parameters_of(&candidates.all(), state));
     let mut set = Vec::new();
@@ -325,24 +318,14 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
         }
         let score = score_of(set);
         if score < best.score {
-            best = CauseSet { score, causes: set.to_vec() };
+            best = ScoredSet { score, members: set.to_vec() };
         }
     });
-    // Beyond that depth, add and remove causes while the score improves.
-    while best.causes.len() >= depth {
-        let grown = candidates
-            .optional
-            .iter()
-            .filter(|cause| !best.causes.contains(cause))
-            .map(|&cause| scored(best.causes.iter().copied().chain([cause]).collect()))
-            .min_by(|a, b| a.score.total_cmp(&b.score));
-        match grown {
-            Some(grown) if grown.score < best.score => best = prune(grown, &scored),
-            _ => break,
-        }
+    if best.members.len() >= depth {
+        best = grow(&candidates.optional, best, score_of);
     }
-    best.causes.sort_unstable();
-    best
+    best.members.sort_unstable();
+    best.members
 }
 
 /// If a stream's reference is unknown, its tool is unknown, too, and weak motion leaves common directions of
@@ -370,22 +353,6 @@ fn is_collinear(
     let unknown = parameters(known.filter(is_unknown).collect());
     let others = parameters(causes.iter().filter(|cause| !is_unknown(cause)).collect());
     linear.normal.separation(&unknown, &others) < MIN_CAUSE_SEPARATION
-}
-
-fn prune(mut set: CauseSet, scored: &dyn Fn(Vec<Cause>) -> CauseSet) -> CauseSet {
-    loop {
-        let shrunk = (0..set.causes.len())
-            .map(|drop| {
-                let mut causes = set.causes.clone();
-                causes.remove(drop);
-                scored(causes)
-            })
-            .min_by(|a, b| a.score.total_cmp(&b.score));
-        match shrunk {
-            Some(shrunk) if shrunk.score < set.score => set = shrunk,
-            _ => return set,
-        }
-    }
 }
 
 /// Visits every subset of 1 to `depth` elements.
@@ -538,7 +505,7 @@ fn continue_rounds(
         let next = if frees_all {
             candidates.optional.clone()
         } else {
-            select_causes(linear, candidates, state).causes
+            select_causes(linear, candidates, state)
         };
         let step = linear.step(&candidates.free_parameters(&next, state));
         let is_converged = !frees_all && next == causes && is_negligible(&step);
