@@ -211,8 +211,7 @@ fn prefer_zeros(
             let is_retained = |cause: &Cause| {
                 others.contains(cause) || *cause == zero || matches!(cause, Cause::Skew(_))
             };
-            let optional = candidates.optional.iter().copied().filter(is_retained).collect();
-            let candidates = CandidateCauses { optional, ..candidates.clone() };
+            let candidates = candidates.retaining(is_retained);
             let with_zero = select_model(observations, start, &candidates);
             if is_within_calibration(&with_zero) {
                 return prefer_zeros(observations, with_zero, candidates, large_offsets);
@@ -268,8 +267,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
         matches!(cause, Cause::Latency(_) | Cause::Skew(_) | Cause::JointScale(_))
             || (model.causes.contains(cause) && !imitated.contains(cause))
     };
-    let optional = candidates.optional.iter().copied().filter(is_retained).collect();
-    let candidates = CandidateCauses { optional, ..candidates.clone() };
+    let candidates = candidates.retaining(is_retained);
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
     let model = select_model(observations, start, &candidates);

@@ -69,7 +69,7 @@ impl<'a> HeldOut<'a> {
             let streams = model.linear.streams().zip(&test);
             (normal, streams.map(|(stream, rows)| stream.subset(rows)).collect())
         };
-        let chosen: Vec<Cause> = candidates.always.iter().chain(&model.causes).copied().collect();
+        let chosen = candidates.free(&model.causes);
         let mut held_out =
             Self { observations, model, chosen, halves: [half(0), half(1)], with: Vec::new() };
         held_out.with = held_out.squares(&held_out.chosen);

@@ -281,16 +281,25 @@ pub(crate) struct CandidateCauses {
 
 impl CandidateCauses {
     pub fn all(&self) -> Vec<Cause> {
-        self.always.iter().chain(&self.optional).copied().collect()
+        self.free(&self.optional)
     }
 
-    /// Parameters of `causes` and of those that are always free, ascending.
+    /// `causes` and those that are always free.
+    pub fn free(&self, causes: &[Cause]) -> Vec<Cause> {
+        self.always.iter().chain(causes).copied().collect()
+    }
+
+    /// Their parameters, ascending.
     pub fn free_parameters(&self, causes: &[Cause], state: &State) -> Vec<usize> {
-        let causes = self.always.iter().chain(causes);
-        let mut parameters: Vec<usize> = causes.flat_map(|cause| cause.parameters(state)).collect();
-        parameters.sort_unstable();
+        let mut parameters = parameters_of(&self.free(causes), state);
         parameters.dedup();
         parameters
+    }
+
+    /// The same with fewer optional causes.
+    pub fn retaining(&self, is_retained: impl Fn(&Cause) -> bool) -> Self {
+        let optional = self.optional.iter().copied().filter(is_retained).collect();
+        Self { optional, ..self.clone() }
     }
 }
 
@@ -298,7 +307,7 @@ impl CandidateCauses {
 fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> Vec<Cause> {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
-        let causes: Vec<Cause> = candidates.always.iter().chain(set).copied().collect();
+        let causes = candidates.free(set);
         let parameters = parameters_of(&causes, state);
         if !set.is_empty() && is_collinear(linear, candidates, &causes, state) {
             return f64::INFINITY;
@@ -418,8 +427,7 @@ pub(crate) fn or_without_causes(
     if !model.linear.streams().enumerate().all(is_near) {
         return model;
     }
-    let without = CandidateCauses { optional: Vec::new(), ..candidates.clone() };
-    let without = select_model(observations, start, &without);
+    let without = select_model(observations, start, &candidates.retaining(|_| false));
     // Rounded positions repeat with the configuration, so the noise is as correlated as without the causes.
     let gain = |(with, without): (Noise, Noise)| {
         let inflation = with.inflation().max(without.inflation()).min(MAX_INFLATION);
@@ -527,8 +535,7 @@ fn continue_rounds(
             (linear, state) = (linearized(&next), next);
         }
     }
-    let chosen: Vec<Cause> = candidates.always.iter().chain(&causes).copied().collect();
-    let search = linear.update_weights(&state, &chosen);
+    let search = linear.update_weights(&state, &candidates.free(&causes));
     SelectedModel { state, causes, linear, is_converged, search }
 }
 

@@ -55,9 +55,7 @@ pub(crate) fn prefer_tool_frames(
         }
         let mut start = model.state.clone();
         start.streams[s] = by_tool;
-        let without = |cause: &&Cause| **cause != Cause::Reference(s);
-        let optional = candidates.optional.iter().filter(without).copied().collect();
-        let candidates = CandidateCauses { optional, ..candidates.clone() };
+        let candidates = candidates.retaining(|cause| *cause != Cause::Reference(s));
         model = select_model(observations, start, &candidates);
     }
     model
