@@ -255,10 +255,7 @@ impl CalibrationSystem<'_> {
     ) -> DMatrix<f64> {
         let mut all = self.distance_normal(state).matrix;
         for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(linearized) {
-            let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
-            let mut information = DMatrix::zeros(linear.width, linear.width);
-            let mut scores = DMatrix::zeros(linear.width, linear.width);
-            linear.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+            let [_, scores] = linear.covariance_parts(weights);
             all += source.columns.transpose() * scores * &source.columns;
         }
         all

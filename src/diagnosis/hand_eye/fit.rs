@@ -256,10 +256,7 @@ fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeS
 
 /// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
 fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
-    let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
-    let mut information = DMatrix::zeros(linear.width, linear.width);
-    let mut scores = information.clone();
-    linear.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+    let [information, scores] = linear.covariance_parts(weights);
     sandwich(&information, &scores)
 }
 
@@ -270,9 +267,7 @@ fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<H
     }
     let weights = linear.weights();
     let covariance = covariance_of(&linear, &weights);
-    let independent: f64 =
-        weights.iter().map(|weight| weight.noise.independent(linear.len())).sum();
-    let dof = (independent - WIDTH as f64).max(3.0);
+    let dof = linear.normal(&weights).dof(WIDTH);
     let sigma = [0, 1].map(|kind| {
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();

@@ -281,6 +281,15 @@ impl Linear {
         }
     }
 
+    /// The two parts of a sandwich covariance of all parameters.
+    pub fn covariance_parts(&self, weights: &[Weight]) -> [DMatrix<f64>; 2] {
+        let columns: Vec<Option<usize>> = (0..self.width).map(Some).collect();
+        let mut information = DMatrix::zeros(self.width, self.width);
+        let mut scores = information.clone();
+        self.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+        [information, scores]
+    }
+
     /// Variance along `influence` (one number per target) as a sum of squares, and the variance of that
     /// sum, including autocorrelation. Together they give the effective degrees of freedom (Satterthwaite
     /// 1946).
