@@ -22,6 +22,7 @@ use crate::{
     NotObservable, PoseDiagnosis, PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
+use ground::stats::mean;
 use ground::stream::JointTrack;
 
 /// Two latencies cannot be distinguished below it: rms rad, or m at an arm length of 1 m.
@@ -121,8 +122,7 @@ fn constant_coordinates(
         let along =
             aligned.fk.iter().map(|fk| axes.convert_from_standard(fk.translation.vector)[axis]);
         let [low, high] = range_of(along);
-        let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
-        let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
+        let value = mean(stream.track.xyz.iter().map(|xyz| xyz[axis]));
         ConstantCoordinate { coordinate, value, moved_m: (high - low).max(0.0) }
     };
     constant.map(part).collect()

@@ -10,7 +10,7 @@ use crate::priors::price;
 use crate::samples::sampling::value_range;
 use crate::selection::stepwise::{ScoredSet, grow};
 use crate::{ChangePoint, Course};
-use ground::stats::Measured;
+use ground::stats::{Measured, mean};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -77,10 +77,8 @@ impl<'a> ComplianceSearch<'a> {
     pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<ComplianceTerm> {
         let mut sags = self.candidates_of(|kind| *kind == ComplianceKind::Sag);
         let term = sags.find(|term| term.column == column)?;
-        let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
-        let count = torques().count().max(1) as f64;
-        let mean = torques().sum::<f64>() / count / self.max_torque[column];
-        let amount = [offset_rad / mean, 0.0];
+        let torques = self.torques.iter().flatten().map(|torques| torques[column]);
+        let amount = [offset_rad * self.max_torque[column] / mean(torques), 0.0];
         (amount[0] > 0.0 && amount[0] < MAX_COMPLIANCE_RAD)
             .then_some(ComplianceTerm { amount, ..term })
     }

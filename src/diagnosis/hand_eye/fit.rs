@@ -9,7 +9,7 @@ use crate::model::jacobian::pose_change;
 use crate::solver::linear::{Linear, Weight};
 use crate::solver::robust::sandwich;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::{Measured, median};
+use ground::stats::{Measured, mean, median};
 use nalgebra::DMatrix;
 
 /// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
@@ -50,8 +50,7 @@ impl HandEyeFit<'_> {
     pub fn scale(&self, along: usize) -> TargetScale {
         let Self { state, setting, .. } = self;
         let predicted = setting.targets.iter().filter_map(|it| state.predict_at(setting, it.0));
-        let distances_m: Vec<f64> = predicted.map(|pose| pose.translation.vector.norm()).collect();
-        let distance_m = distances_m.iter().sum::<f64>() / distances_m.len().max(1) as f64;
+        let distance_m = mean(predicted.map(|pose| pose.translation.vector.norm()));
         let factor = |stretched: &dyn Fn(Vec3) -> Vec3| {
             let linear = state.linear(setting, Some(stretched));
             let step = linear.normal(&linear.weights()).full_step();

@@ -11,6 +11,7 @@ use crate::solver::linear::{Linear, Normal};
 use crate::solver::noise::Noise;
 use crate::{AlignedSamples, EstimateResult, Measured, StreamResidual};
 use ground::geometry::{Pose, Vec3};
+use ground::stats::mean;
 use nalgebra::DVector;
 
 /// For the link frames.
@@ -91,7 +92,7 @@ pub(crate) fn square_root(Measured { value: square, std_error, dof }: Measured) 
 /// The standard error is infinite for fewer than two values.
 pub(crate) fn mean_of(values: &[f64]) -> Measured {
     let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n.max(1.0);
+    let mean = mean(values.iter().copied());
     let spread =
         values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
     let std_error = if n < 2.0 { f64::INFINITY } else { (spread / n).sqrt() };
