@@ -438,7 +438,7 @@ pub struct StreamResidual {
 impl StreamResidual {
     /// Combined with a lever of 0.3 m, rms m.
     pub fn combined_m(&self) -> f64 {
-        self.rms_m.hypot(0.3 * self.rms_rad)
+        self.rms_m.hypot(priors::LEVER_M * self.rms_rad)
     }
 }
 

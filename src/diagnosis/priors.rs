@@ -16,6 +16,8 @@ pub(crate) const LINK_PRIOR_M: f64 = 0.5e-3;
 pub(crate) const LINK_PRIOR_RAD: f64 = 0.7e-3;
 /// Angular to linear link deviations: 0.1° per mm.
 pub(crate) const RAD_PER_M: f64 = 1.745;
+/// Lever at which an angle counts as a length where both are combined. Assumed, not calibrated.
+pub(crate) const LEVER_M: f64 = 0.3;
 /// Typical link deviations at the tip. Smaller residuals distinguish no diagnoses.
 pub(crate) const MODEL_ERROR_M: f64 = 1e-4;
 pub(crate) const MODEL_ERROR_RAD: f64 = RAD_PER_M * MODEL_ERROR_M;

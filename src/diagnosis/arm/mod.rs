@@ -19,6 +19,7 @@ use crate::joints::{
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
+use crate::priors::LEVER_M;
 use crate::samples::sampling::as_rotations;
 use crate::selection::evidence::log_bayes_factor;
 use crate::selection::held_out::HeldOut;
@@ -531,7 +532,7 @@ fn excess_residual(stream: &PoseDiagnosis) -> ResidualSize {
 }
 
 fn combined_m(residual: ResidualSize) -> f64 {
-    residual.combined_m(0.3)
+    residual.combined_m(LEVER_M)
 }
 
 /// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference

@@ -18,12 +18,10 @@ use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_
 use crate::latency::compensation::with_tracks;
 use crate::model::measurement::{pose_of_twist, twist_of};
 use crate::priors::{
-    FRAME_PRIOR_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR, TOOL_PRIOR_M,
-    ZERO_PRIOR, price,
+    FRAME_PRIOR_M, LEVER_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR,
+    TOOL_PRIOR_M, ZERO_PRIOR, price,
 };
-use crate::residuals::cause_columns::{
-    CauseColumns, Frame, LEVER_M, RADIAL_SCALE, VariableColumns, ZEROS,
-};
+use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::likeliest;
 use crate::solver::linear::{Linear, SharedEquations, StreamEquations, Weight};

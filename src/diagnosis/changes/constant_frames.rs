@@ -2,7 +2,7 @@
 
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::residuals::cause_columns::LEVER_M;
+use crate::priors::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::Linear;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};

@@ -2,7 +2,7 @@
 
 use crate::latency::correlation::median_period_s;
 use crate::model::jacobian::pose_change;
-use crate::residuals::cause_columns::LEVER_M;
+use crate::priors::LEVER_M;
 use crate::residuals::residual_check::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::Vec3;

@@ -1,7 +1,7 @@
 //! Delay of the arm behind its commands.
 
 use crate::latency::correlation::median_period_s;
-use crate::residuals::cause_columns::LEVER_M;
+use crate::priors::LEVER_M;
 use crate::samples::sampling::range_of;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};

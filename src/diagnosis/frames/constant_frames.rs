@@ -5,7 +5,7 @@ use super::rotation_frames::mean_rotation;
 use crate::model::measurement::{
     PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
 };
-use crate::priors::MARKER_PRIOR_M;
+use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
@@ -144,9 +144,8 @@ pub(crate) fn tool_start(
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
-/// Assumed position noise, and the lever arm that converts rotation to position residuals.
+/// Assumed position noise.
 const START_NOISE_M: f64 = 1e-3;
-const START_LEVER_M: f64 = 0.3;
 const LIMITS: Limits = Limits { steps: 25, min_gain: 1e-6 };
 /// Before the best starts are continued.
 const ROUGH_LIMITS: Limits = Limits { steps: 6, min_gain: 1e-3 };
@@ -278,7 +277,7 @@ impl LeastSquares for FramePair<'_> {
         // Weights of the squared residuals of position and rotation.
         const WEIGHTS: [f64; 2] = [
             1.0 / (START_NOISE_M * START_NOISE_M),
-            START_LEVER_M * START_LEVER_M / (START_NOISE_M * START_NOISE_M),
+            LEVER_M * LEVER_M / (START_NOISE_M * START_NOISE_M),
         ];
         let zeros = Matrix3::<f64>::zeros();
         let (mut hands, mut crosses, mut squares) = (zeros, zeros, zeros);
@@ -442,7 +441,7 @@ mod tests {
             });
             let turn = logged.rotation * jacobian.pose.rotation.inverse();
             let position = logged.translation.vector - jacobian.pose.translation.vector;
-            let weights = [1.0 / START_NOISE_M, START_LEVER_M / START_NOISE_M];
+            let weights = [1.0 / START_NOISE_M, LEVER_M / START_NOISE_M];
             sums.add_pose(&derivatives, [position, rotvec_from_rotation(&turn)], weights);
         }
         add_tool_prior(&mut sums, &tool);

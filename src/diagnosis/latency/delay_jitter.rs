@@ -2,6 +2,7 @@
 //! differ, and a robust fit estimates neither. The delay of a sample is its error along the motion divided
 //! by the speed, if the motion is fast.
 
+use crate::priors::LEVER_M;
 use crate::residuals::excess::mean_of;
 use crate::{AlignedSamples, Measured};
 use ground::geometry::Vec3;
@@ -20,8 +21,6 @@ pub struct DelayJitter {
     pub scatter_m: f64,
 }
 
-/// Converts angles to lengths, m.
-const LEVER_M: f64 = 0.3;
 /// For standard errors.
 const BLOCKS: usize = 20;
 

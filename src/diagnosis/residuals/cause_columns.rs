@@ -6,7 +6,7 @@
 
 use crate::model::jacobian::{Derivative, PoseJacobian, link_derivatives, pose_change};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
-use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
+use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -58,9 +58,6 @@ pub(crate) const RADIAL_SCALE: usize = LATENCY + 1;
 const CAUSES: usize = RADIAL_SCALE + 2;
 /// Variable column of the first joint's zero. Those before are constant columns.
 pub(crate) const ZEROS: usize = RADIAL_SCALE + 1;
-
-/// Converts rotations to lengths.
-pub(crate) const LEVER_M: f64 = 0.3;
 
 /// Columns with a factor for each sample: frames, latency and radial scale as the constant ones, then joint zeros.
 pub(crate) struct VariableColumns {

@@ -10,6 +10,7 @@ use crate::latency::correlation::median_period_s;
 use crate::model::jacobian::pose_change;
 use crate::model::measurement::{PoseObservations, PredictionBuffers, StreamState};
 use crate::model::observability::travel;
+use crate::priors::LEVER_M;
 use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, rest_speeds};
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
@@ -32,8 +33,6 @@ const MAX_REST_SPREAD_M: f64 = 2e-3;
 const MAX_SINGLE_CONFIGURATION_RANGE: f64 = 0.05;
 /// Relative to the motion's correlation time.
 const MAX_NOISE_SPAN_SHARE: f64 = 0.25;
-/// Represents the tip's rotation.
-const LEVER_M: f64 = 0.3;
 /// For the motion's correlation time.
 const CORRELATION_SAMPLES: usize = 2000;
 const MAX_CALIBRATION_SAMPLES: usize = 5000;

@@ -3,6 +3,7 @@
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
 use super::nominal_model::mean_square;
 use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::priors::LEVER_M;
 use crate::samples::sampling::rows_of_half;
 use crate::solver::linear::{Linear, Normal};
 
@@ -18,7 +19,7 @@ pub struct HeldOutResidual {
 impl HeldOutResidual {
     /// Whether the cause reduces the error on held-out samples. Angles are weighted by 0.3 m.
     pub fn is_lower(&self) -> bool {
-        let combined_m = |[m, rad]: [f64; 2]| m.hypot(0.3 * rad);
+        let combined_m = |[m, rad]: [f64; 2]| m.hypot(LEVER_M * rad);
         combined_m(self.with) < combined_m(self.without)
     }
 }
