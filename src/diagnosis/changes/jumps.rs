@@ -30,7 +30,7 @@ pub(super) struct Jump {
 pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> Vec<Jump> {
     /// Numerical floor.
     const FLOOR_M: f64 = 1e-5;
-    let AlignedSamples { t_s, logged: poses, .. } = align_with_fk(joints, stream, 0.0);
+    let AlignedSamples { t_s, logged: poses, .. } = align_with_fk(joints, stream);
     let step = |row: usize| {
         let [shift, turn] = pose_change(&poses[row - 1], &poses[row]);
         [shift, turn * LEVER_M]

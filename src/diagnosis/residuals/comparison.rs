@@ -124,7 +124,7 @@ pub(crate) fn restore_recorded(
     stream: &PoseStream,
     after: &mut PoseDiagnosis,
 ) {
-    let recorded = align_with_fk(joints, stream, 0.0);
+    let recorded = align_with_fk(joints, stream);
     let aligned = &mut after.aligned;
     for (row, at) in nearest_stamps(&aligned.t_s, &recorded.t_s, f64::INFINITY) {
         aligned.fk[row] = recorded.fk[at];

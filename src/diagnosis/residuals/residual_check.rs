@@ -126,7 +126,7 @@ pub fn check_residual(
     stream: &PoseStream,
     diagnosis: &PoseDiagnosis,
 ) -> EstimateResult<ResidualCheck> {
-    let logged = align_with_fk(joints, stream, 0.0);
+    let logged = align_with_fk(joints, stream);
     if logged.t_s.is_empty() {
         return Err(NotObservable::NoOverlap);
     }
@@ -201,18 +201,14 @@ fn residual_with_calibration(
     Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
-/// Samples with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
-pub(crate) fn align_with_fk(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    lag_s: f64,
-) -> AlignedSamples {
+/// Samples with FK at their stamps. Fills only `t_s`, `logged` and `fk`.
+pub(crate) fn align_with_fk(joints: &JointTrack, stream: &PoseStream) -> AlignedSamples {
     let track = stream.track;
     let rotations = as_rotations(&track.orientation);
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     let mut aligned = AlignedSamples::default();
     for (row, &t_s) in track.t_s.iter().enumerate() {
-        let Some(fk) = sequence.at(t_s - lag_s) else { continue };
+        let Some(fk) = sequence.at(t_s) else { continue };
         let rotation = rotations.map(|all| all[row]).unwrap_or_default();
         aligned.t_s.push(t_s);
         aligned.logged.push(pose(track.xyz[row].into(), rotation));
