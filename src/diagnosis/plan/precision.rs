@@ -8,7 +8,7 @@ use crate::imu;
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, ZERO_PRIOR};
 use crate::selection::link_deviations;
 use crate::solver::linear::Linear;
-use crate::solver::robust::pseudo_inverse;
+use crate::solver::robust::sandwich;
 use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
@@ -65,6 +65,7 @@ pub struct ExpectedPrecision {
 }
 
 /// Free parameters, prior standard deviations (infinite if flat), and which are requested.
+#[derive(Clone)]
 struct PrecisionQuery {
     parameters: Vec<usize>,
     prior: Vec<f64>,
@@ -82,13 +83,7 @@ impl PrecisionQuery {
         }
         let covariance = match precision.clone().cholesky().map(|cholesky| cholesky.inverse()) {
             Some(covariance) if self.prior.iter().all(|before| before.is_finite()) => covariance,
-            _ => {
-                let (mut inverse, blind) = pseudo_inverse(&precision);
-                for (i, _) in blind.iter().enumerate().filter(|(_, share)| **share > 1e-3) {
-                    inverse[(i, i)] = f64::INFINITY;
-                }
-                inverse
-            }
+            _ => sandwich(&precision, &precision),
         };
         covariance.select_rows(&self.requested).select_columns(&self.requested)
     }
@@ -113,12 +108,8 @@ impl PrecisionQuery {
     }
 
     fn score(&self, information: &DMatrix<f64>) -> f64 {
-        let known = Self {
-            prior: self.prior.iter().map(|before| before.min(WEAK_PRIOR)).collect(),
-            parameters: self.parameters.clone(),
-            requested: self.requested.clone(),
-        };
-        let cholesky = known.covariance(information).cholesky();
+        let prior = self.prior.iter().map(|before| before.min(WEAK_PRIOR)).collect();
+        let cholesky = Self { prior, ..self.clone() }.covariance(information).cholesky();
         cholesky.map_or(f64::INFINITY, |cholesky| {
             cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum()
         })
