@@ -13,6 +13,7 @@ use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::solver::linear::Normal;
 use ground::geometry::Vec3;
 use ground::robot::{LinkPath, Robot};
+use ground::stats::mean;
 use nalgebra::{DMatrix, DVector};
 
 const MAX_ITERATIONS: usize = 12;
@@ -111,7 +112,7 @@ pub fn calibrate_arm(
             noise: [0, 1].map(|kind| weights[kind].noise.sigma),
             inflation: [0, 1].map(|kind| weights[kind].noise.inflation()),
             spans: sources[s].spans(),
-            errors_m: linear.residual[0].iter().map(|error| Vec3::from(*error).norm()).collect(),
+            errors_m: linear.residual[0].iter().map(Vec3::norm).collect(),
         }
     });
     let reports = reports.collect();
@@ -143,11 +144,10 @@ fn fitted_share(covariance: &DMatrix<f64>, normal: &Normal) -> f64 {
 }
 
 /// Residual by kind over pieces of a stream.
-fn rms_residual(linearized: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
+fn rms_residual(linearized: &[Vec<Vec<Vec3>>]) -> CalibrationResidual {
     let rms = |kind: usize| {
-        let all = || linearized.iter().flat_map(|stream| &stream[kind]);
-        let squares: f64 = all().flatten().map(|c| c * c).sum();
-        (squares / all().count().max(1) as f64).sqrt()
+        let all = linearized.iter().flat_map(|stream| &stream[kind]);
+        mean(all.map(Vec3::norm_squared)).sqrt()
     };
     CalibrationResidual { m: rms(0), rad: rms(1) }
 }

@@ -1,6 +1,6 @@
 //! Point of the last link that stays at one place in the base, although the configuration changes.
 
-use crate::residuals::excess::rms;
+use crate::solver::noise::rms;
 use crate::solver::robust::huber;
 use ground::geometry::{Vec3, mean_vector};
 use ground::robot::Chain;
@@ -58,8 +58,7 @@ impl FixedPoint {
                 .zip(&poses)
                 .map(|(r, pose)| r * tip_xyz + pose.translation.vector - base_xyz)
                 .collect();
-            let residual: Vec<[f64; 3]> = errors.iter().map(|&error| error.into()).collect();
-            weights = huber(&residual, FLOOR_M);
+            weights = huber(&errors, FLOOR_M);
             found = Some(Self { base_xyz, errors });
         }
         found

@@ -5,9 +5,9 @@ use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::Linear;
+use crate::solver::noise::rms;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3};
-use ground::stats::mean;
 
 /// 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
@@ -20,9 +20,7 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
         let residuals = constant_frame_residuals(aligned, has_rotation);
         let samples = aligned.fk_at_truth.len();
         let size = samples.div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
-        let square = |one: &[f64; 3]| Vec3::from(*one).norm_squared();
-        let rms = |part: &[[f64; 3]]| mean(part.iter().map(square)).sqrt();
-        let is_below = |(residuals, max): (&Vec<[f64; 3]>, f64)| {
+        let is_below = |(residuals, max): (&Vec<Vec3>, f64)| {
             residuals.chunks(size).all(|part| rms(part) < max)
         };
         samples > 0 && residuals.iter().zip(MAX_RESIDUAL_M_RAD).all(is_below)
@@ -35,18 +33,18 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
 }
 
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
-fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<[f64; 3]>> {
+fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<Vec3>> {
     let mut linear = Linear::new(12, &[FLOOR_M, FLOOR_RAD]);
     let identity = Pose::identity();
     let mask = |vector: Vec3| if has_rotation { vector } else { Vec3::zeros() };
     for (row, fk) in aligned.fk_at_truth.iter().take(aligned.corrected.len()).enumerate() {
         let [shift, turn] = aligned.residual(row, fk);
-        let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
+        let mut rows = linear.push(&[shift, mask(turn)]);
         let jacobian = PoseJacobian::new(&[], &identity, fk, &identity);
         let derivatives = (0..6).map(|axis| jacobian.reference(axis));
         let derivatives = derivatives.chain((0..6).map(|axis| jacobian.tool(axis)));
         for (column, [shift, turn]) in derivatives.enumerate() {
-            rows.set_all(column, [shift.into(), mask(turn).into()]);
+            rows.set_all(column, [shift, mask(turn)]);
         }
     }
     let mut weights = linear.even_weights();
@@ -73,8 +71,8 @@ mod tests {
         AlignedSamples { corrected, fk_at_truth, ..AlignedSamples::default() }
     }
 
-    fn largest(residuals: &[Vec<[f64; 3]>]) -> f64 {
-        residuals[0].iter().map(|shift| Vec3::from(*shift).norm()).fold(0.0, f64::max)
+    fn largest(residuals: &[Vec<Vec3>]) -> f64 {
+        residuals[0].iter().map(Vec3::norm).fold(0.0, f64::max)
     }
 
     #[test]

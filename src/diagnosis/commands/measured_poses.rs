@@ -23,11 +23,11 @@ pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
         let Some(mean) = mean_pose(poses) else { continue };
         for pose in poses {
             let [shift, turn] = pose_change(&mean, pose);
-            metres.push(shift.into());
-            radians.push(turn.into());
+            metres.push(shift);
+            radians.push(turn);
         }
     }
-    [metres, radians].map(|residuals: Vec<[f64; 3]>| Noise::unweighted(&residuals, FLOOR))
+    [metres, radians].map(|residuals: Vec<Vec3>| Noise::unweighted(&residuals, FLOOR))
 }
 
 /// Accounts for autocorrelation.

@@ -7,9 +7,8 @@ use crate::encodings::position::metres_by_size;
 use crate::latency::coarse::detect_pose_latency_changes;
 use crate::latency::compensation::with_stamps;
 use crate::latency::correlation::ArmSpeeds;
-use crate::residuals::excess::rms;
 use crate::samples::sampling::FkSequence;
-use crate::solver::noise::Noise;
+use crate::solver::noise::{Noise, rms};
 use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::stats::Measured;
 use ground::stats::thin::thinned;
@@ -156,7 +155,6 @@ fn difference_of_lags(
     let across = dot(&by_lag, &by_latency);
     let information =
         Matrix2::new(dot(&by_lag, &by_lag), across, across, dot(&by_latency, &by_latency));
-    let residual: Vec<[f64; 3]> = residual.into_iter().map(Into::into).collect();
     let noise = Noise::unweighted(&residual, NOISE_FLOOR_M);
     let along = Vector2::new(-1.0, 1.0);
     let variance = along.dot(&(information.try_inverse()? * along));

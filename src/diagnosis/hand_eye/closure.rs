@@ -3,7 +3,8 @@
 use super::fit::HandEyeFit;
 use super::series::HandEyeSetting;
 use super::{ClosureError, MIN_POSES};
-use crate::residuals::excess::{excess_square, mean_of, rms, square_root};
+use crate::residuals::excess::{excess_square, mean_of, square_root};
+use crate::solver::noise::rms;
 use ground::geometry::Vec3;
 use ground::stats::{Measured, median};
 

@@ -160,24 +160,24 @@ impl HandEyeState {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
             let Some(carrier_pose) = at(0.0) else { continue };
             let predicted = self.predict(&carrier_pose);
-            let mut rows = linear.push(&pose_change(&predicted, &target).map(Into::into));
+            let mut rows = linear.push(&pose_change(&predicted, &target));
             let observed = predicted.translation.vector;
             let turned = (carrier_pose * self.camera).rotation.inverse();
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
-                rows.set(0, axis, (-unit).into());
-                rows.set(0, 3 + axis, observed.cross(&unit).into());
-                rows.set(1, 3 + axis, (-unit).into());
-                rows.set(0, 6 + axis, (turned * unit).into());
-                rows.set(1, 9 + axis, (turned * unit).into());
+                rows.set(0, axis, -unit);
+                rows.set(0, 3 + axis, observed.cross(&unit));
+                rows.set(1, 3 + axis, -unit);
+                rows.set(0, 6 + axis, turned * unit);
+                rows.set(1, 9 + axis, turned * unit);
             }
             if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
                 let [shift, turn] = pose_change(&self.predict(&after), &self.predict(&before));
-                rows.set(0, OFFSET_COLUMN, (shift / (2.0 * STEP_S)).into());
-                rows.set(1, OFFSET_COLUMN, (turn / (2.0 * STEP_S)).into());
+                rows.set(0, OFFSET_COLUMN, shift / (2.0 * STEP_S));
+                rows.set(1, OFFSET_COLUMN, turn / (2.0 * STEP_S));
             }
             if let Some(stretched) = stretched {
-                rows.set(0, WIDTH, stretched(observed).into());
+                rows.set(0, WIDTH, stretched(observed));
             }
         }
         linear
@@ -268,8 +268,7 @@ fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<H
     let covariance = covariance_of(&linear, &weights);
     let dof = linear.normal(&weights).dof(WIDTH);
     let sigma = [0, 1].map(|kind| {
-        let mut norms: Vec<f64> =
-            linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
+        let mut norms: Vec<f64> = linear.residual[kind].iter().map(Vec3::norm).collect();
         median(&mut norms).unwrap_or(0.0) / MEDIAN_NORMAL_LENGTH
     });
     let offset_s = Measured {

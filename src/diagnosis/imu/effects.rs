@@ -223,13 +223,13 @@ impl Effects {
             let products =
                 weights.iter().flat_map(|weight| derivatives.iter().map(move |d| d * *weight));
             for (column, derivative) in effect.columns.clone().zip(products) {
-                rows.set(0, column, derivative.into());
+                rows.set(0, column, derivative);
             }
         }
         if let Some(walk) = &self.walk {
             let by_yaw = derivatives(Block::Yaw)[0];
             for (column, weight) in (self.end()..).zip(walk.weights(t_s)) {
-                rows.set(0, column, (by_yaw * weight).into());
+                rows.set(0, column, by_yaw * weight);
             }
         }
     }
@@ -419,9 +419,9 @@ mod tests {
             for (&t_s, error) in self.t_s.iter().zip(&self.errors) {
                 let yaw = self.effects.sum(Block::Yaw, t_s, &Rotation::identity()).x;
                 let fitted = self.offset[0] + self.offset[1] * (t_s - 10.0) + yaw;
-                let mut rows = linear.push(&[(error - Vec3::z() * fitted).into()]);
-                rows.set(0, 0, Vec3::z().into());
-                rows.set(0, 1, (Vec3::z() * (t_s - 10.0)).into());
+                let mut rows = linear.push(&[error - Vec3::z() * fitted]);
+                rows.set(0, 0, Vec3::z());
+                rows.set(0, 1, Vec3::z() * (t_s - 10.0));
                 self.effects.set_rows(&mut rows, t_s, &Rotation::identity(), |_| vec![Vec3::z()]);
             }
             Linearization { linear, t_s: self.t_s.clone(), world_from_imu: Vec::new() }

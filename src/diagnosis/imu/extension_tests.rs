@@ -8,6 +8,7 @@ use crate::priors::price;
 use crate::solver::linear::{Linear, Normal, ridged};
 use crate::solver::noise::Noise;
 use crate::solver::robust::robust_sigma;
+use ground::geometry::Vec3;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Pieces that approximate a weight function in the coarse search.
@@ -127,7 +128,7 @@ impl<'a> ExtensionTests<'a> {
         let sigma = robust_sigma(residual).max(model_error);
         let outlier = 3.0 * (OUTLIER_SIGMAS * sigma).powi(2);
         let robust_weights: Vec<f64> =
-            residual.iter().map(|r| (outlier / squares(r)).min(1.0)).collect();
+            residual.iter().map(|r| (outlier / r.norm_squared()).min(1.0)).collect();
         let precision: Vec<f64> = base.iter().map(|parameter| parameter.1).collect();
         let base: Vec<usize> = base.iter().map(|parameter| parameter.0).collect();
         let mut normal = Normal::zeros(base.len());
@@ -318,8 +319,8 @@ impl<'a> ExtensionTests<'a> {
         let values = extended.parameters.as_slice();
         let (mut by_weights, mut by_outliers) = (0.0, 0.0);
         for (sample, weight) in self.robust_weights.iter().enumerate() {
-            let before = squares(&self.residual(sample, &fit.parameters, extension, &[]));
-            let after = squares(&self.residual(sample, &base, extension, values));
+            let before = self.residual(sample, &fit.parameters, extension, &[]).norm_squared();
+            let after = self.residual(sample, &base, extension, values).norm_squared();
             by_weights += weight * (before - after);
             by_outliers += before.min(self.outlier) - after.min(self.outlier);
         }
@@ -334,8 +335,8 @@ impl<'a> ExtensionTests<'a> {
         base: &DVector<f64>,
         Extension { columns, weights, .. }: &Extension,
         added: &[f64],
-    ) -> [f64; 3] {
-        std::array::from_fn(|axis| {
+    ) -> Vec3 {
+        Vec3::from_fn(|axis, _| {
             let row = self.linear.row(sample, axis);
             let by_base = self.base.iter().zip(base.iter()).map(|(&at, value)| row[at] * value);
             let by_added = weights
@@ -375,9 +376,9 @@ impl<'a> ExtensionTests<'a> {
         let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
         let changed = |sample: usize| {
             let residual = self.residual(sample, base, extension, added);
-            [0, 1, 2].map(|axis| if is_changed[axis] { residual[axis] } else { 0.0 })
+            Vec3::from_fn(|axis, _| if is_changed[axis] { residual[axis] } else { 0.0 })
         };
-        let residual: Vec<[f64; 3]> = samples.map(changed).collect();
+        let residual: Vec<Vec3> = samples.map(changed).collect();
         let components = is_changed.iter().filter(|changed| **changed).count() as f64;
         let noise = Noise::estimate(&residual, &self.robust_weights, 0.0);
         let inflation = noise.inflation().max(1.0);
@@ -512,10 +513,6 @@ impl BaseFit {
         let log_det = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
         Some(AddedFit { gain: right.dot(&parameters), parameters, log_det })
     }
-}
-
-fn squares(residual: &[f64; 3]) -> f64 {
-    residual.iter().map(|component| component * component).sum()
 }
 
 fn best_candidate(

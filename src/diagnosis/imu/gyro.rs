@@ -320,9 +320,8 @@ impl GyroModel<'_> {
     fn is_dominated_by_shared_ends(&self) -> bool {
         let linear = self.linearize().linear;
         let residual = &linear.residual[0];
-        let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let square: f64 = residual.iter().map(|r| dot(r, r)).sum();
-        let neighbour_product: f64 = residual.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+        let square: f64 = residual.iter().map(Vec3::norm_squared).sum();
+        let neighbour_product: f64 = residual.windows(2).map(|pair| pair[0].dot(&pair[1])).sum();
         neighbour_product < MAX_SHARED_END_CORRELATION * square
     }
 
@@ -446,13 +445,13 @@ impl Model for GyroModel<'_> {
             let last_from_first = by_fk.inverse();
             let per_s = 1.0 / integrated.duration_s;
             let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
-            let mut rows = linear.push(&[(residual * per_s).into()]);
+            let mut rows = linear.push(&[residual * per_s]);
             if first.moving || last.moving {
                 // FK rates share the joints' noise with the residual.
                 let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
                 let later = -rate_difference * per_s;
-                rows.set(0, Self::LATENCY, later.into());
-                rows.set(0, Self::SKEW, (later * (to_s - self.delay.middle_s)).into());
+                rows.set(0, Self::LATENCY, later);
+                rows.set(0, Self::SKEW, later * (to_s - self.delay.middle_s));
             }
             let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
             let by_bias = |axis: usize| -> Vec3 { integrated.by_rate.column(axis) * per_s };
@@ -460,11 +459,11 @@ impl Model for GyroModel<'_> {
             let before_slip = mount.inverse() * self.link_from_imu;
             let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
             for (axis, unit) in units.iter().enumerate() {
-                rows.set(0, Self::MOUNT.start + axis, turned(before_slip * unit).into());
-                rows.set(0, Self::BIAS.start + axis, by_bias(axis).into());
+                rows.set(0, Self::MOUNT.start + axis, turned(before_slip * unit));
+                rows.set(0, Self::BIAS.start + axis, by_bias(axis));
             }
             for (column, by_entry) in (Self::SCALE_ERROR.start..).zip(&integrated.by_scale_error) {
-                rows.set(0, column, (by_entry * per_s).into());
+                rows.set(0, column, by_entry * per_s);
             }
             let middle_s = 0.5 * (from_s + to_s);
             self.effects.set_rows(

@@ -352,7 +352,7 @@ impl OrientationModel<'_> {
         const MAX_VERTICAL_COSINE: f64 = 0.97;
         let Linearization { linear, t_s, world_from_imu } = self.linearize();
         let moments = t_s.iter().zip(&world_from_imu).zip(&linear.residual[0]);
-        let error = |((t_s, rotation), residual): ((&f64, &Rotation), &[f64; 3])| {
+        let error = |((t_s, rotation), residual): ((&f64, &Rotation), &Vec3)| {
             (*t_s, self.yaw_at(*t_s, rotation) + residual[2])
         };
         let errors: Vec<(f64, f64)> = moments.map(error).collect();
@@ -405,25 +405,25 @@ impl Model for OrientationModel<'_> {
             let world = yaw_rotation * self.world_from_base;
             let predicted = yaw_rotation * by_fk;
             let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
-            let mut rows = linear.push(&[residual.into()]);
+            let mut rows = linear.push(&[residual]);
             if link_state.moving {
                 let later = -(world * link_state.rate);
-                rows.set(0, Self::LATENCY, later.into());
-                rows.set(0, Self::SKEW, (later * since).into());
+                rows.set(0, Self::LATENCY, later);
+                rows.set(0, Self::SKEW, later * since);
             }
-            rows.set(0, Self::DRIFT, (Vec3::z() * since).into());
+            rows.set(0, Self::DRIFT, Vec3::z() * since);
             let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
             let before_slip = mount.inverse() * self.link_from_imu;
             for (axis, unit) in units.iter().enumerate() {
-                rows.set(0, Self::WORLD.start + axis, (yaw_rotation * unit).into());
-                rows.set(0, Self::MOUNT.start + axis, (predicted * (before_slip * unit)).into());
+                rows.set(0, Self::WORLD.start + axis, yaw_rotation * unit);
+                rows.set(0, Self::MOUNT.start + axis, predicted * (before_slip * unit));
             }
             self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
             let inner = frames.iter().take(self.link.inner_links());
             let by_links =
                 inner.flat_map(|frame| units.map(|unit| world * (frame.rotation * unit)));
             for (column, derivative) in (Self::LINKS_START..).zip(by_links) {
-                rows.set(0, column, derivative.into());
+                rows.set(0, column, derivative);
             }
             self.effects.set_rows(&mut rows, stamp, &by_fk, |block| match block {
                 Block::Mount => units.iter().map(|unit| predicted * unit).collect(),

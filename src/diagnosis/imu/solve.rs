@@ -248,7 +248,6 @@ impl Step {
         let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
         let dof = (self.independent - (free.len() - random) as f64).max(3.0);
         let residuals = linear.residuals_after(self.delta.as_slice()).swap_remove(0);
-        let residuals = residuals.into_iter().map(Vec3::from).collect();
         Solved { free, covariance, fixed, dof, residuals }
     }
 }

@@ -43,11 +43,11 @@ pub(crate) struct ExcludedComponents {
 
 impl ExcludedComponents {
     /// Position and rotation with excluded components set to zero.
-    pub fn mask(&self, [mut position, rotation]: Derivative) -> [[f64; 3]; 2] {
+    pub fn mask(&self, [mut position, rotation]: Derivative) -> Derivative {
         for (part, blind) in position.iter_mut().zip(self.position) {
             *part *= f64::from(u8::from(!blind));
         }
-        [position.into(), if self.rotation { [0.0; 3] } else { rotation.into() }]
+        [position, if self.rotation { Vec3::zeros() } else { rotation }]
     }
 
     /// Copies excluded components from `expected`.
@@ -420,11 +420,9 @@ impl PoseObservations<'_> {
             };
             let by_latency = self.excluded.mask(velocity.map(|part| -part));
             for (slope, residual) in by_latency.iter().zip(self.residual(k, &predicted.pose)) {
-                for (slope, residual) in slope.iter().zip(residual) {
-                    square += residual * residual;
-                    along += slope * residual;
-                    steep += slope * slope;
-                }
+                square += residual.norm_squared();
+                along += slope.dot(&residual);
+                steep += slope.norm_squared();
             }
             samples += 1;
         }
@@ -443,7 +441,7 @@ impl PoseObservations<'_> {
     }
 
     /// Logged minus predicted: m, rotation vector in rad.
-    pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
         self.excluded.mask([position, rotation])

@@ -220,7 +220,7 @@ impl<'a> CauseColumns<'a> {
         for row in self.samples() {
             let (fk, is) = (&self.aligned.fk_at_truth[row], &self.aligned.corrected[row]);
             let [shift, turn] = pose_change(fk, is);
-            let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
+            let mut rows = linear.push(&[shift, mask(turn)]);
             let tip = fk.translation.vector;
             let about_centre = pose((tip - self.centre).into(), fk.rotation);
             let jacobian = PoseJacobian::new(&[], &identity, &about_centre, &identity);
@@ -234,7 +234,7 @@ impl<'a> CauseColumns<'a> {
                 _ => late.map(|late| late * part),
             });
             let mut set = |column: usize, [linear, angular]: Derivative| {
-                rows.set_all(column, [linear.into(), mask(angular).into()]);
+                rows.set_all(column, [linear, mask(angular)]);
             };
             derivatives.iter().enumerate().for_each(|(column, own)| set(column, *own));
             if self.links > 0 {

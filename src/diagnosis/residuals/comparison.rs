@@ -1,10 +1,9 @@
 //! Compares residuals of a run under two diagnoses, and with its noise.
 
-use super::excess::rms;
 use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
 use super::trajectory_error::nearest_stamps;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::solver::noise::Noise;
+use crate::solver::noise::{Noise, rms};
 use crate::{
     AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
 };
@@ -28,9 +27,9 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     }
     let moves = vec![true; aligned.t_s.len()];
     let has_rotation = diagnosis.encoding.is_ok();
-    let [length, angle] = residual_vectors(diagnosis).map(|all| all.into_iter().map(Vec3::from));
-    let angle = has_rotation.then(|| angle.collect());
-    let series = ErrorSeries::new(&aligned.t_s, &aligned.fk_at_truth, length.collect(), angle);
+    let [length, angle] = residual_vectors(diagnosis);
+    let angle = has_rotation.then_some(angle);
+    let series = ErrorSeries::new(&aligned.t_s, &aligned.fk_at_truth, length, angle);
     let error = series.error(&moves, true);
     let is_much = |(size, min_size): (&ErrorSize, f64)| {
         size.parts.iter().any(|PartError { magnitude: amount, .. }| {
@@ -62,59 +61,53 @@ pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
 }
 
 /// Whether residuals, m and rad, are larger than a healthy stream's and than their sample-to-sample noise.
-pub(crate) fn exceeds_noise(residuals: &[Vec<[f64; 3]>]) -> bool {
-    let exceeds = |(residuals, healthy): (&Vec<[f64; 3]>, f64)| {
-        let vectors: Vec<Vec3> = residuals.iter().map(|v| Vec3::from(*v)).collect();
-        let steps: Vec<Vec3> = vectors.windows(2).map(|pair| pair[1] - pair[0]).collect();
+pub(crate) fn exceeds_noise(residuals: &[Vec<Vec3>]) -> bool {
+    let exceeds = |(residuals, healthy): (&Vec<Vec3>, f64)| {
+        let steps: Vec<Vec3> = residuals.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let noise = 0.5_f64.sqrt() * rms(&steps);
-        rms(&vectors) > healthy.max(MIN_NOISE_RATIO * noise)
+        rms(residuals) > healthy.max(MIN_NOISE_RATIO * noise)
     };
     residuals.iter().zip(HEALTHY_RESIDUAL_M_RAD).any(exceeds)
 }
 
 /// Whether the mean of residuals, m and rad, exceeds the noise in some segment.
-pub(crate) fn has_slow_means(residuals: impl IntoIterator<Item = Vec<[f64; 3]>>) -> bool {
+pub(crate) fn has_slow_means(residuals: impl IntoIterator<Item = Vec<Vec3>>) -> bool {
     /// For a significant mean.
     const MIN_STD_ERRORS: f64 = 6.0;
-    let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
+    let is_slow = |(residuals, (floor, small)): (Vec<Vec3>, (f64, f64))| {
         let beside = minus_segment_means(&residuals);
         let noise = Noise::unweighted(&beside, floor);
         segments(&residuals).any(|part| {
             let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
-            mean(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())
+            mean_vector(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())
         })
     };
     let floors = [(FLOOR_M, HEALTHY_RESIDUAL_M_RAD[0]), (FLOOR_RAD, HEALTHY_RESIDUAL_M_RAD[1])];
     residuals.into_iter().zip(floors).any(is_slow)
 }
 
-fn segments(residuals: &[[f64; 3]]) -> impl Iterator<Item = &[[f64; 3]]> {
+fn segments(residuals: &[Vec3]) -> impl Iterator<Item = &[Vec3]> {
     const SEGMENTS: usize = 10;
     residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES))
 }
 
 /// Residuals minus their means in segments of the run.
-pub(crate) fn minus_segment_means(residuals: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let minus_mean = |part: &[[f64; 3]]| -> Vec<[f64; 3]> {
-        let mean = mean(part);
-        part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
+pub(crate) fn minus_segment_means(residuals: &[Vec3]) -> Vec<Vec3> {
+    let minus_mean = |part: &[Vec3]| -> Vec<Vec3> {
+        let mean = mean_vector(part);
+        part.iter().map(|residual| residual - mean).collect()
     };
     segments(residuals).flat_map(minus_mean).collect()
 }
 
-fn mean(vectors: &[[f64; 3]]) -> Vec3 {
-    mean_vector(vectors.iter().map(|v| Vec3::from(*v)))
-}
-
 /// Position, m, and rotation, rad, at the measured point. At the tip, a rotation error of a distant marker becomes a
 /// position error.
-pub(crate) fn residual_vectors(diagnosis: &PoseDiagnosis) -> [Vec<[f64; 3]>; 2] {
+pub(crate) fn residual_vectors(diagnosis: &PoseDiagnosis) -> [Vec<Vec3>; 2] {
     let AlignedSamples { corrected, fk_at_truth, .. } = &diagnosis.aligned;
     let marker = Point3::from(diagnosis.frame_correction.tool.translation.vector);
     let both = || corrected.iter().zip(fk_at_truth);
-    let length = both().map(|(is, fk)| (is * marker - fk * marker).into());
-    let turn =
-        both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())).into());
+    let length = both().map(|(is, fk)| is * marker - fk * marker);
+    let turn = both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())));
     [length.collect(), turn.collect()]
 }
 

@@ -8,7 +8,7 @@ use crate::model::measurement::{PoseObservations, StreamState};
 use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
-use crate::solver::noise::Noise;
+use crate::solver::noise::{Noise, mean_square, rms};
 use crate::{AlignedSamples, EstimateResult, Measured, StreamResidual};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::mean;
@@ -56,10 +56,6 @@ pub(crate) fn excess_residual(
     })
 }
 
-pub(crate) fn rms(vectors: &[Vec3]) -> f64 {
-    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
-}
-
 /// Rms beyond the noise between samples (half the mean squared successive difference, von Neumann 1941).
 /// The standard error, from the scatter over blocks, is raised until the value is no more significant than
 /// the correlation `in_common` with the prediction.
@@ -79,7 +75,7 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
 /// Mean square beyond the noise between samples.
 pub(crate) fn excess_square(block: &[Vec3]) -> f64 {
     let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
-    rms(block).powi(2) - 0.5 * rms(&steps).powi(2)
+    mean_square(block) - 0.5 * mean_square(&steps)
 }
 
 /// Root of a mean square. d(√x) = dx / 2√x, limited to √dx near zero.
@@ -132,30 +128,26 @@ fn fold_correlation(
         let mut pairs = Vec::new();
         for (fold, step) in folds.iter().zip(&steps) {
             let after = fold.residuals_after(step.as_slice()).swap_remove(kind);
-            pairs.extend(fold.residual[kind].iter().zip(after).map(|(&residual, after)| {
-                let predicted = std::array::from_fn(|axis| residual[axis] - after[axis]);
-                (residual, predicted)
-            }));
+            let residuals = fold.residual[kind].iter().zip(after);
+            pairs.extend(residuals.map(|(&residual, after)| (residual, residual - after)));
         }
         correlation(&pairs)
     })
 }
 
 /// Mean over blocks. Each is at least twice as long as the first series' correlation.
-fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
-    let residual_square: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
-    let noise = Noise::unweighted(&residual_square, f64::MIN_POSITIVE);
+fn correlation(pairs: &[(Vec3, Vec3)]) -> Measured {
+    let residuals: Vec<Vec3> = pairs.iter().map(|pair| pair.0).collect();
+    let noise = Noise::unweighted(&residuals, f64::MIN_POSITIVE);
     let lasting = 2.0 * noise.inflation();
     let blocks = (pairs.len() as f64 / lasting) as usize;
     let blocks = blocks.clamp(*BLOCK_COUNTS.start(), *BLOCK_COUNTS.end());
-    let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let of_block = |block: &[([f64; 3], [f64; 3])]| {
-        let (mut residual_square, mut predicted, mut product) = (0.0, 0.0, 0.0);
-        for (a, b) in block {
-            (residual_square, predicted, product) =
-                (residual_square + dot(a, a), predicted + dot(b, b), product + dot(a, b));
-        }
-        product / (residual_square * predicted).sqrt().max(f64::MIN_POSITIVE)
+    let of_block = |block: &[(Vec3, Vec3)]| {
+        let sum = |product: &dyn Fn(&Vec3, &Vec3) -> f64| -> f64 {
+            block.iter().map(|(residual, predicted)| product(residual, predicted)).sum()
+        };
+        let squares = sum(&|a, _| a.norm_squared()) * sum(&|_, b| b.norm_squared());
+        sum(&|a, b| a.dot(b)) / squares.sqrt().max(f64::MIN_POSITIVE)
     };
     let size = pairs.len().div_ceil(blocks).max(1);
     mean_of(&pairs.chunks(size).map(of_block).collect::<Vec<f64>>())
@@ -171,9 +163,9 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    fn wandering(n: usize, seed: u64) -> Vec<[f64; 3]> {
+    fn wandering(n: usize, seed: u64) -> Vec<Vec3> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
-        let mut state = [0.0; 3];
+        let mut state = Vec3::zeros();
         let mut next = || {
             state = state.map(|s| {
                 let innovation: f64 = StandardNormal.sample(&mut rng);
@@ -184,10 +176,9 @@ mod tests {
         (0..n).map(|_| next()).collect()
     }
 
-    fn reaches_zero(vectors: &[[f64; 3]], predicted: &[[f64; 3]]) -> bool {
+    fn reaches_zero(vectors: &[Vec3], predicted: &[Vec3]) -> bool {
         let pairs: Vec<_> = vectors.iter().copied().zip(predicted.iter().copied()).collect();
-        let vectors: Vec<Vec3> = vectors.iter().map(|&v| Vec3::from(v)).collect();
-        excess(&vectors, &correlation(&pairs)).interval(0.95)[0] <= 0.0
+        excess(vectors, &correlation(&pairs)).interval(0.95)[0] <= 0.0
     }
 
     #[test]
@@ -197,11 +188,7 @@ mod tests {
         assert!(covered.count() >= 35);
         let predicted = wandering(1000, 7);
         let noise = wandering(1000, 8);
-        let mixed: Vec<[f64; 3]> = predicted
-            .iter()
-            .zip(&noise)
-            .map(|(f, n)| std::array::from_fn(|axis| f[axis] + 0.2 * n[axis]))
-            .collect();
+        let mixed: Vec<Vec3> = predicted.iter().zip(&noise).map(|(f, n)| f + 0.2 * n).collect();
         assert!(!reaches_zero(&mixed, &predicted));
     }
 
@@ -223,9 +210,8 @@ mod tests {
 
     #[test]
     fn a_zero_residual_is_zero_and_not_nan() {
-        let nothing = vec![[0.0; 3]; 40];
-        let pairs: Vec<_> = nothing.iter().map(|&v| (v, v)).collect();
         let vectors = vec![Vec3::zeros(); 40];
+        let pairs = vec![(Vec3::zeros(), Vec3::zeros()); 40];
         let found = excess(&vectors, &correlation(&pairs));
         assert!(found.value == 0.0 && found.interval(0.95).iter().all(|end| end.is_finite()));
     }

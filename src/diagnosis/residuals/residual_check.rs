@@ -190,8 +190,6 @@ fn residual_with_calibration(
     let most = MAX_CALIBRATION_SAMPLES;
     let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, most);
     let [length, angle] = kinds.try_into().ok()?;
-    let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
-    let (length, angle) = (vectors(length), vectors(angle));
     if length.len() != rows.len() {
         return None;
     }

@@ -12,6 +12,7 @@ use crate::{
     ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointChange,
     JointCompliance, JointDiagnosis, PoseDiagnosis,
 };
+use ground::geometry::Vec3;
 
 /// Residual of a stream that does not follow the arm, m and rad.
 const SIGMA_UNEXPLAINED: f64 = 1.0;
@@ -55,7 +56,7 @@ fn log_likelihood_ratio(one: &ArmDiagnosis, other: &ArmDiagnosis) -> (f64, f64) 
 fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
     let follows = stream.followed_residual().is_some();
     let [positions, rotations] = residual_vectors(stream);
-    let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
+    let noise = |residuals: Vec<Vec3>, model_error: f64, is_explained: bool| {
         let mut noise = Noise::unweighted(&residuals, 0.0);
         noise.sigma = if is_explained { noise.sigma.hypot(model_error) } else { SIGMA_UNEXPLAINED };
         (residuals.len(), noise)
@@ -104,7 +105,6 @@ mod tests {
     use crate::arm::diagnose_arm;
     use crate::test_motion;
     use crate::test_random::Lcg;
-    use ground::geometry::Vec3;
 
     #[test]
     fn a_smaller_residual_is_likelier_and_a_parameter_has_its_price() {

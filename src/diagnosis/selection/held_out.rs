@@ -1,11 +1,11 @@
 //! How well a model of one half of the run predicts the other half, with and without each cause.
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
-use super::nominal_model::mean_square;
 use crate::model::measurement::{PoseObservations, State, StreamState};
 use crate::priors::LEVER_M;
 use crate::samples::sampling::rows_of_half;
 use crate::solver::linear::{Linear, Normal};
+use crate::solver::noise::mean_square;
 
 /// Residual in each half of the run of the fit to the other half, rms m and rad.
 #[derive(Clone, Copy, Debug, PartialEq)]

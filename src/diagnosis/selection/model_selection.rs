@@ -2,7 +2,6 @@
 //!
 //! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
 
-use super::nominal_model::rms;
 use super::stepwise::{ScoredSet, grow};
 use crate::Measured;
 use crate::model::measurement::{
@@ -12,7 +11,7 @@ use crate::model::measurement::{
 use crate::priors::price;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
-use crate::solver::noise::Noise;
+use crate::solver::noise::{Noise, rms};
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use ground::geometry::Pose;
 use nalgebra::{DMatrix, DVector};

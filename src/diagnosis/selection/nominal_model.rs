@@ -17,7 +17,7 @@ use crate::model::measurement::{
 };
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
-use crate::solver::noise::Noise;
+use crate::solver::noise::{Noise, rms};
 use crate::solver::robust::robust_sigma;
 use crate::{LatencyProfile, Measured, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
@@ -164,17 +164,8 @@ pub(crate) fn timing_beside_link_deviations(
 }
 
 /// Rms of positions, m, and rotations, rad.
-pub(crate) fn rms_of_kinds(residuals: &[Vec<[f64; 3]>]) -> [f64; 2] {
+pub(crate) fn rms_of_kinds(residuals: &[Vec<Vec3>]) -> [f64; 2] {
     [0, 1].map(|kind| rms(&residuals[kind]))
-}
-
-pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
-    mean_square(residual).sqrt()
-}
-
-pub(super) fn mean_square(residual: &[[f64; 3]]) -> f64 {
-    let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
-    squares / residual.len().max(1) as f64
 }
 
 /// Maximum a posteriori changes of link frames.
@@ -196,7 +187,7 @@ pub(crate) fn calibrated_residuals(
     stream_state: &StreamState,
     link_m: Option<f64>,
     most: usize,
-) -> Vec<Vec<[f64; 3]>> {
+) -> Vec<Vec<Vec3>> {
     let link_m = link_m.map_or(LINK_PRIOR_M, |link_m| link_m.max(LINK_PRIOR_M));
     let none = vec![0.0; observations.joints.dof];
     let linearized = |most: usize| {

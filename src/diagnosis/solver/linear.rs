@@ -2,6 +2,7 @@
 
 use super::noise::Noise;
 use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma, sandwich};
+use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
@@ -11,7 +12,7 @@ pub(crate) struct Linear {
     /// Number of parameters.
     pub width: usize,
     /// Residuals by kind and sample.
-    pub residual: Vec<Vec<[f64; 3]>>,
+    pub residual: Vec<Vec<Vec3>>,
     /// Minimum standard deviation of each kind, in its unit.
     floor: Vec<f64>,
     /// Derivatives: three rows of `width` per kind and sample.
@@ -27,14 +28,14 @@ pub(crate) struct Rows<'a> {
 
 impl Rows<'_> {
     /// Sets the derivatives of `kind` by parameter `column`.
-    pub fn set(&mut self, kind: usize, column: usize, derivative: [f64; 3]) {
-        for (axis, value) in derivative.into_iter().enumerate() {
-            self.values[(kind * 3 + axis) * self.width + column] = value;
+    pub fn set(&mut self, kind: usize, column: usize, derivative: Vec3) {
+        for (axis, value) in derivative.iter().enumerate() {
+            self.values[(kind * 3 + axis) * self.width + column] = *value;
         }
     }
 
     /// The same for every kind.
-    pub fn set_all<const N: usize>(&mut self, column: usize, derivatives: [[f64; 3]; N]) {
+    pub fn set_all<const N: usize>(&mut self, column: usize, derivatives: [Vec3; N]) {
         derivatives.into_iter().enumerate().for_each(|(kind, own)| self.set(kind, column, own));
     }
 }
@@ -76,7 +77,7 @@ impl Linear {
     }
 
     /// Appends a sample. Returns its derivatives, initially zero.
-    pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
+    pub fn push(&mut self, residuals: &[Vec3]) -> Rows<'_> {
         for (column, residual) in self.residual.iter_mut().zip(residuals) {
             column.push(*residual);
         }
@@ -110,9 +111,9 @@ impl Linear {
     }
 
     /// Residuals after a step, by kind.
-    pub fn residuals_after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
-        let remaining = |sample: usize, kind: usize| -> [f64; 3] {
-            std::array::from_fn(|axis| {
+    pub fn residuals_after(&self, step: &[f64]) -> Vec<Vec<Vec3>> {
+        let remaining = |sample: usize, kind: usize| {
+            Vec3::from_fn(|axis, _| {
                 let row = self.row(sample, 3 * kind + axis);
                 let explained: f64 = row.iter().zip(step).map(|(a, d)| a * d).sum();
                 self.residual[kind][sample][axis] - explained
@@ -136,7 +137,7 @@ impl Linear {
 
     /// Weights from the spread of the residuals, assuming white noise.
     pub fn first_weights(&self) -> Vec<Weight> {
-        let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
+        let of_kind = |(residual, &floor): (&Vec<Vec3>, &f64)| Weight {
             noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
             robust: vec![1.0; residual.len()],
         };
@@ -159,8 +160,8 @@ impl Linear {
     }
 
     /// Weights from residuals of the samples.
-    pub fn weights_of(&self, residuals: Vec<Vec<[f64; 3]>>) -> Vec<Weight> {
-        let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
+    pub fn weights_of(&self, residuals: Vec<Vec<Vec3>>) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (Vec<Vec3>, &f64)| {
             let robust = huber(&residual, floor);
             Weight { noise: Noise::estimate(&residual, &robust, floor), robust }
         };
@@ -210,8 +211,8 @@ impl Linear {
         for sample in 0..self.len() {
             for (kind, weight) in weights.iter().enumerate() {
                 let (component, residual) = (weight.component(sample), self.residual[kind][sample]);
-                let weighted = residual.map(|residual| component * residual);
-                weighted.iter().zip(residual).for_each(|(w, r)| normal.cost += w * r);
+                let weighted = component * residual;
+                normal.cost += weighted.dot(&residual);
                 let [x, y, z] = self.rows_of(sample, kind);
                 for (((right, x), y), z) in right.iter_mut().zip(x).zip(y).zip(z) {
                     *right = *right + weighted[0] * x + weighted[1] * y + weighted[2] * z;

@@ -3,6 +3,9 @@
 //! the inflation. The model is white noise plus a first-order autoregressive part, `γ(0) = σ²`, `γ(k) =
 //! share·σ²·ρ^k`.
 
+use ground::geometry::Vec3;
+use ground::stats::mean;
+
 /// Noise of one kind of residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Noise {
@@ -32,13 +35,13 @@ impl Noise {
     }
 
     /// Estimates the noise of three components per sample, all of weight 1. `sigma` is at least `floor`.
-    pub fn unweighted(residual: &[[f64; 3]], floor: f64) -> Self {
+    pub fn unweighted(residual: &[Vec3], floor: f64) -> Self {
         Self::estimate(residual, &vec![1.0; residual.len()], floor)
     }
 
     /// Estimates the noise of three components per sample, with `weights` 0 to 1. `sigma` is at least
     /// `floor`.
-    pub fn estimate(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
+    pub fn estimate(residual: &[Vec3], weights: &[f64], floor: f64) -> Self {
         let variance = weighted_variance(residual, weights);
         let correlations = correlations(residual, weights, variance);
         let (share, rho) = fit_autoregression(&correlations, residual.len());
@@ -46,9 +49,19 @@ impl Noise {
     }
 }
 
-fn weighted_variance(residual: &[[f64; 3]], weights: &[f64]) -> f64 {
+/// Root mean square of the lengths. 0 without residuals.
+pub(crate) fn rms(residual: &[Vec3]) -> f64 {
+    mean_square(residual).sqrt()
+}
+
+/// Mean square of the lengths. 0 without residuals.
+pub(crate) fn mean_square(residual: &[Vec3]) -> f64 {
+    mean(residual.iter().map(Vec3::norm_squared))
+}
+
+fn weighted_variance(residual: &[Vec3], weights: &[f64]) -> f64 {
     let total: f64 = weights.iter().sum();
-    let squares: f64 = residual.iter().zip(weights).map(|(r, w)| w * dot(r, r)).sum();
+    let squares: f64 = residual.iter().zip(weights).map(|(r, w)| w * r.norm_squared()).sum();
     squares / (3.0 * total).max(1.0)
 }
 
@@ -67,12 +80,12 @@ impl Correlation {
 
 /// Lags 1, 2–3, 4–7 … up to an eighth of the samples. A long correlation of a small share is visible only
 /// as a mean over many lags.
-fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Correlation> {
+fn correlations(residual: &[Vec3], weights: &[f64], variance: f64) -> Vec<Correlation> {
     // Prefix sums: a window of lags costs one difference.
-    let mut before = vec![([0.0; 3], 0.0)];
+    let mut before = vec![(Vec3::zeros(), 0.0)];
     for (r, w) in residual.iter().zip(weights) {
         let (sum, total) = before[before.len() - 1];
-        before.push((std::array::from_fn(|axis| sum[axis] + w * r[axis]), total + w));
+        before.push((sum + *w * r, total + w));
     }
     let longest = residual.len() / 8;
     let firsts = std::iter::successors(Some(1), |first| Some(2 * first));
@@ -82,8 +95,7 @@ fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Co
         let (mut products, mut total) = (0.0, 0.0);
         for k in last..residual.len() {
             let (from, to) = (&before[k - last], &before[k - first + 1]);
-            let sum: [f64; 3] = std::array::from_fn(|axis| to.0[axis] - from.0[axis]);
-            products += weights[k] * dot(&residual[k], &sum);
+            products += weights[k] * residual[k].dot(&(to.0 - from.0));
             total += weights[k] * (to.1 - from.1);
         }
         let covariance = products / (3.0 * total).max(1.0);
@@ -102,10 +114,6 @@ fn mean_autoregressions(windows: &[Correlation], rho: f64, means: &mut [f64]) {
         *mean = (power - next) / ((1.0 - rho) * window.width());
         power = next;
     }
-}
-
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Least-squares `share·ρ^lag` over a grid of ρ. Zeros if it improves no more than chance.
@@ -156,14 +164,14 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    fn series(n: usize, rho: f64, white: f64) -> Vec<[f64; 3]> {
+    fn series(n: usize, rho: f64, white: f64) -> Vec<Vec3> {
         seeded(7, n, rho, white)
     }
 
-    fn seeded(seed: u64, n: usize, rho: f64, white: f64) -> Vec<[f64; 3]> {
+    fn seeded(seed: u64, n: usize, rho: f64, white: f64) -> Vec<Vec3> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        let mut state = [0.0; 3];
+        let mut state = Vec3::zeros();
         (0..n)
             .map(|_| {
                 state = state.map(|s| rho * s + (1.0 - rho * rho).sqrt() * normal());

@@ -1,5 +1,6 @@
 //! Robust weights, and covariances under correlated noise.
 
+use ground::geometry::Vec3;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use nalgebra::{DMatrix, DVector};
 
@@ -22,20 +23,16 @@ pub(crate) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMa
 }
 
 /// Huber weights relative to the robust standard deviation.
-pub(crate) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
+pub(crate) fn huber(residual: &[Vec3], floor: f64) -> Vec<f64> {
     let limit = HUBER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
-    residual
-        .iter()
-        .map(|r| {
-            let norm = r.iter().map(|c| c * c).sum::<f64>().sqrt();
-            if norm <= limit { 1.0 } else { limit / norm }
-        })
-        .collect()
+    let weight = |norm: f64| if norm <= limit { 1.0 } else { limit / norm };
+    residual.iter().map(|residual| weight(residual.norm())).collect()
 }
 
 /// Standard deviation of one component, from the median magnitude.
-pub(crate) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
-    let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
+pub(crate) fn robust_sigma(residual: &[Vec3]) -> f64 {
+    let mut magnitudes: Vec<f64> =
+        residual.iter().flat_map(|r| r.iter()).map(|c| c.abs()).collect();
     STD_DEV_PER_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)
 }
 
