@@ -264,8 +264,8 @@ impl Linear {
         let chosen = chosen(columns);
         let rows = 3 * self.kinds();
         let mut squares = DMatrix::zeros(chosen.len(), chosen.len());
-        let reaching = self.for_each_score(weights, &chosen, |score| {
-            add_squares(&mut squares, [&score.white, &score.lasting], 1.0);
+        let reaching = self.for_each_score(weights, &chosen, |white, lasting| {
+            add_squares(&mut squares, [white, lasting], 1.0);
         });
         // Innovations after the last sample have no residual.
         for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
@@ -302,11 +302,11 @@ impl Linear {
     ) -> (f64, f64) {
         let chosen = chosen(columns);
         let (mut sum, mut fourth) = (0.0, 0.0);
-        self.for_each_score(weights, &chosen, |score| {
+        self.for_each_score(weights, &chosen, |white, lasting| {
             let along = |part: &[f64]| -> f64 {
                 part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
             };
-            let square = along(&score.white).powi(2) + along(&score.lasting).powi(2);
+            let square = along(white).powi(2) + along(lasting).powi(2);
             sum += square;
             fourth += square * square;
         });
@@ -315,20 +315,20 @@ impl Linear {
         (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
     }
 
-    /// Visits the score of every sample. Returns the weights with which each row continues beyond the last
-    /// sample.
+    /// Visits the contributions of every sample to the score of each parameter, through white and autocorrelated
+    /// noise. Returns the weights with which each row continues beyond the last sample.
     fn for_each_score(
         &self,
         weights: &[Weight],
         chosen: &[(usize, usize)],
-        mut visit: impl FnMut(&Score),
+        mut visit: impl FnMut(&[f64], &[f64]),
     ) -> Vec<f64> {
         let (rows, width) = (3 * self.kinds(), chosen.len());
         let mut reaching = vec![0.0; width * rows];
-        let mut score = Score { white: vec![0.0; width], lasting: vec![0.0; width] };
+        let (mut white, mut lasting) = (vec![0.0; width], vec![0.0; width]);
         for sample in 0..self.len() {
-            score.white.fill(0.0);
-            score.lasting.fill(0.0);
+            white.fill(0.0);
+            lasting.fill(0.0);
             for (r, reaching) in reaching.chunks_exact_mut(width.max(1)).enumerate() {
                 let weight = &weights[r / 3];
                 let Noise { share, rho, .. } = weight.noise;
@@ -336,7 +336,7 @@ impl Linear {
                 let weighted = weight.component(sample) * residual;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
-                let parts = score.white.iter_mut().zip(&mut score.lasting);
+                let parts = white.iter_mut().zip(&mut lasting);
                 for (((white, lasting), reaching), &(column, _)) in parts.zip(reaching).zip(chosen)
                 {
                     *reaching = rho * *reaching + row[column];
@@ -344,7 +344,7 @@ impl Linear {
                     *lasting += later * *reaching;
                 }
             }
-            visit(&score);
+            visit(&white, &lasting);
         }
         reaching
     }
@@ -353,12 +353,6 @@ impl Linear {
 fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
     let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
     columns.iter().enumerate().filter_map(with_target).collect()
-}
-
-/// Contribution of one sample to the score of each parameter, through white and autocorrelated noise.
-struct Score {
-    white: Vec<f64>,
-    lasting: Vec<f64>,
 }
 
 /// Adds `weight · Σ vᵀv` to an upper triangle. Skips columns in which all rows are zero.
