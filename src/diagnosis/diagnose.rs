@@ -20,7 +20,7 @@ use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::latency::compensation::{CompensatedRun, tracks_with_stamps, with_tracks};
 use crate::residuals::comparison::{has_large_residual, has_slow_residual, residual_m};
 use crate::samples::sampling::slow_samples;
-use crate::selection::evidence::{fits_as_well, likeliest};
+use crate::selection::evidence::{fits_as_well, likeliest, log_bayes_factor};
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, JointCompliance, JointDiagnosis, LatencyProfile, PoseDiagnosis,
@@ -126,8 +126,8 @@ fn diagnose_together(run: &ArmRun) -> ArmDiagnosis {
         // Between poses in one frame, some segments of a drift follow as logged.
         let constant = are_floating(run.streams).then(|| run.diagnose());
         let by_steps = constant.and_then(|constant| diagnose_with_cause_changes(run, &constant));
-        return likeliest([by_encodings].into_iter().chain(by_steps))
-            .unwrap_or_else(|| run.diagnose());
+        let likelier = by_steps.filter(|it| log_bayes_factor(it, &by_encodings) > 0.0);
+        return likelier.unwrap_or(by_encodings);
     }
     let uniform = diagnose_uniform(run);
     diagnose_with_encoding_changes(run, &uniform, diagnose_uniform).unwrap_or(uniform)
