@@ -6,6 +6,7 @@ use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag
 use super::system::{Coefficient, ComplianceSystem};
 use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::arm_run::ArmRun;
+use crate::joints::MIN_MOTION_RAD;
 use crate::priors::price;
 use crate::samples::sampling::value_range;
 use crate::selection::stepwise::{ScoredSet, grow};
@@ -103,7 +104,7 @@ impl<'a> ComplianceSearch<'a> {
             let range = value_range(values);
             let sags = self.max_torque[column] > MIN_TORQUE_SHARE * largest;
             let turns = range > MIN_RANGE_RAD;
-            let moves = range > 0.05;
+            let moves = range > MIN_MOTION_RAD;
             let orders = ECCENTRICITY_ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
             let crossings = [BacklashCrossing::Gradual, BacklashCrossing::Sudden].into_iter();
             let kinds = crossings
