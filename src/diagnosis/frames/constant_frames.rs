@@ -386,25 +386,23 @@ pub(crate) fn frame_estimate(
     let mut moved = state.clone();
     moved.step(&linear.step(&parameters));
     let stream_state = &moved.streams[stream];
-    let (frame, round) = match cause {
-        Cause::Tool(_) => (stream_state.tool, stream_state.round_tool),
-        _ => (stream_state.reference, stream_state.round_reference),
+    let is_tool = matches!(cause, Cause::Tool(_));
+    let (frame, round) = match is_tool {
+        true => (stream_state.tool, stream_state.round_tool),
+        false => (stream_state.reference, stream_state.round_reference),
     };
     let twist = twist_of(&frame);
     let dof = linear.normal.dof(parameters.len());
     let tuned = moved.values().rows(own.start, width).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
-    let is_tool = matches!(cause, Cause::Tool(_));
-    let part = if is_tool { stream_state.tool_part.range() } else { 0..6 };
     let length = |first: usize| {
-        let Some(at) = first.checked_sub(part.start).filter(|_| part.contains(&first)) else {
+        if first >= width {
             // The rotation is not observable.
             return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
-        };
-        let own = block.view((at, at), (3, 3)).into_owned();
+        }
+        let own = block.view((first, first), (3, 3)).into_owned();
         MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
     };
-    let chosen = round.is_some() || model.causes.contains(&cause);
     // The model maps base coordinates to the stream's; the reported error is the inverse.
     let pose = if is_tool { frame } else { frame.inverse() };
     Ok(FrameEstimate {
@@ -412,7 +410,7 @@ pub(crate) fn frame_estimate(
         translation_m: length(0),
         rotation_rad: length(3),
         p_value,
-        is_chosen: chosen,
+        is_chosen: round.is_some() || model.causes.contains(&cause),
     })
 }
 

@@ -95,11 +95,11 @@ pub(crate) enum ToolPart {
 }
 
 impl ToolPart {
-    /// Range among the six tool parameters.
-    pub fn range(self) -> std::ops::Range<usize> {
+    /// Number of determined parameters, the first ones of the tool.
+    pub fn width(self) -> usize {
         match self {
-            Self::Whole => 0..6,
-            Self::Point => 0..3,
+            Self::Whole => 6,
+            Self::Point => 3,
         }
     }
 }

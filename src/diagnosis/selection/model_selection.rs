@@ -50,8 +50,7 @@ impl Cause {
             Cause::RadialScale(stream) => (stream, RADIAL_SCALE_COLUMN, 1),
             Cause::Reference(stream) => (stream, REFERENCE_COLUMNS_START, 6),
             Cause::Tool(stream) => {
-                let part = state.streams[stream].tool_part.range();
-                (stream, TOOL_COLUMNS_START + part.start, part.len())
+                (stream, TOOL_COLUMNS_START, state.streams[stream].tool_part.width())
             }
         };
         let start = state.index(stream, first);
