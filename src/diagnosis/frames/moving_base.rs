@@ -217,13 +217,17 @@ pub fn detect_base_motion(
     const MAX_STEP_SHARE: f64 = 0.5;
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let rows = sample_rows(stream.track.t_s.len());
-    let bases = |latency_s: f64| -> Vec<Pose> {
+    // FK and logged poses.
+    let pairs = |latency_s: f64| -> Vec<(Pose, Pose)> {
         let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
-        let of_row = |&row: &usize| {
+        let pair = |&row: &usize| {
             let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
-            Some(logged * fk.at(stream.track.t_s[row] - latency_s)?.inverse())
+            Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
         };
-        rows.iter().filter_map(of_row).collect()
+        rows.iter().filter_map(pair).collect()
+    };
+    let bases = |latency_s: f64| -> Vec<Pose> {
+        pairs(latency_s).into_iter().map(|(fk, logged)| logged * fk.inverse()).collect()
     };
     let distance_from_start = |latency_s: f64| -> f64 {
         let bases = bases(latency_s);
@@ -249,31 +253,26 @@ pub fn detect_base_motion(
     let mut away: Vec<Vec3> = bases.iter().map(|base| base.translation.vector).collect();
     subtract_mean(&mut away);
     let travel_m = away.iter().map(Vec3::norm).fold(0.0, f64::max);
+    let is_fixed = |lag_s: f64| {
+        let max_m = travel.along_m / MIN_TRAVEL_RATIO;
+        is_base_fixed(pairs(lag_s), metres_by_size(joints, stream), max_m)
+    };
     let moves = travel_m > MIN_TRAVEL_M
         && travel.along_m > MIN_TRAVEL_RATIO * travel.deviation_m
         && largest_m < MAX_STEP_SHARE * travel.along_m
-        && !near
-            .into_iter()
-            .chain([latency_s])
-            .any(|lag_s| is_base_fixed(joints, stream, lag_s, travel.along_m / MIN_TRAVEL_RATIO));
+        && !near.into_iter().chain([latency_s]).any(is_fixed);
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseMotion { travel_m, turn_rad: turned.fold(0.0, f64::max) }
     })
 }
 
-/// Whether a fixed base, with constant world frame and marker, has a position residual below `most_m` rms,
-/// in metres or the unit whose spread matches FK. Otherwise a tool of constant orientation or a single
-/// rotation axis resembles a moving base.
-fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
-    let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
-    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
-    let both = sample_rows(stream.track.t_s.len()).into_iter().filter_map(|row| {
-        let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
-        Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
-    });
-    let (fk, logged): (Vec<Pose>, Vec<Pose>) = both.unzip();
-    [1.0, metres_by_size(joints, stream)].into_iter().any(|metres| {
+/// Whether a fixed base, with constant world frame and marker, has a position residual below `most_m` rms, in metres
+/// or the unit whose spread matches FK. Otherwise a tool of constant orientation or a single rotation axis resembles a
+/// moving base. `pairs` are FK and logged poses.
+fn is_base_fixed(pairs: Vec<(Pose, Pose)>, unit_m: f64, most_m: f64) -> bool {
+    let (fk, logged): (Vec<Pose>, Vec<Pose>) = pairs.into_iter().unzip();
+    [1.0, unit_m].into_iter().any(|metres| {
         let scaled = |pose: &Pose| {
             Pose::from_parts((pose.translation.vector * metres).into(), pose.rotation)
         };
