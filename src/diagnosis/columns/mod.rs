@@ -160,8 +160,7 @@ impl ColumnMapping {
 
     /// Same columns and unit.
     pub fn is_same(&self, other: &Self) -> bool {
-        let of = |it: &Self| (it.joints.clone(), it.position);
-        of(self) == of(other) && self.unit == other.unit
+        (&self.joints, self.position, self.unit) == (&other.joints, other.position, other.unit)
     }
 }
 
