@@ -9,10 +9,10 @@ use std::ops::RangeInclusive;
 
 use jiff::civil::{Date, Time};
 
-use super::text_rows::{self, RowFormat, TextRows};
+use super::text_rows::{self, CellsBeside, RowFormat, TextRows};
 use super::{
     Cell, Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock,
-    file_names, labelled_lines, text_encoding, vector_cells,
+    file_names, labelled_lines, most_frequent, text_encoding, vector_cells,
 };
 use crate::rtde::{self, unquoted};
 
@@ -21,7 +21,7 @@ const MAX_HEADER_LINES: usize = 200;
 pub(super) const MAX_LINE_BYTES: usize = 1 << 20;
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
 /// In a row of a robot log.
-const MIN_CELLS: usize = 3;
+pub(super) const MIN_CELLS: usize = 3;
 /// In a row with mostly empty cells: a time and the numbers of the smallest stream.
 const MIN_NUMBERS: usize = 2;
 const UNIT_NAMES: &[&str] = &[
@@ -208,13 +208,18 @@ pub(super) fn trailing_empty_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
 
+/// Number of cells of a row that belong to a table with `width` columns: an empty cell separates those beside it.
+pub(super) fn table_width(row: &[&[u8]], width: usize) -> usize {
+    if row.get(width).is_some_and(|cell| cell.is_empty()) { width } else { row.len() }
+}
+
 fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
     let mark = mark_length(bytes);
     let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
     let mut above: Vec<&[u8]> = Vec::new();
     let mut places: Vec<(usize, usize)> = Vec::new();
-    let mut all = all.take(MAX_HEADER_LINES).peekable();
-    while let Some((rows_at, line, text)) = all.next() {
+    let head: Vec<(usize, usize, &[u8])> = all.take(MAX_HEADER_LINES).collect();
+    for (at, &(rows_at, line, text)) in head.iter().enumerate() {
         let (delimiter, count) = match comment(text) {
             _ if text.len() > MAX_LINE_BYTES => (b',', 0),
             Some(_) => (b',', 0),
@@ -225,17 +230,23 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
             places.push((rows_at, line));
             continue;
         }
-        let mut row = cells(text, delimiter);
+        let first = cells(text, delimiter);
+        if first.len() > MAX_COLUMNS {
+            return None;
+        }
+        let below = &head[at + 1..];
+        let (mut row, next) = typical_rows(first, below, delimiter);
         // The next row is shorter if only the head of the file is read.
-        let is_table = match all.peek() {
+        let is_table = match below.first() {
             Some((_, _, next)) if next.len() > MAX_LINE_BYTES => false,
             Some((_, _, next)) => {
                 let next = cells(next, delimiter);
-                next.len() <= row.len() && next.iter().any(|cell| is_number(cell, delimiter))
+                table_width(&next, row.len()) <= row.len()
+                    && next.iter().any(|cell| is_number(cell, delimiter))
             }
             None => !above.is_empty(),
         };
-        if !is_table || row.len() > MAX_COLUMNS {
+        if !is_table {
             return None;
         }
         // pandas writes arrays with a header of column indices, after an empty cell above its index.
@@ -245,13 +256,12 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
             let mut cells = columns.iter().enumerate();
             cells.all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
         };
-        if (counts(0) || counts(1)) && above.is_empty() && all.peek().is_some() {
+        if (counts(0) || counts(1)) && above.is_empty() && !below.is_empty() {
             continue;
         }
         let names = names_above(&above, delimiter, &row);
         // Delimiters at the end of each row are cells only below names.
-        let open =
-            all.peek().map_or(0, |(_, _, next)| trailing_empty_cells(&cells(next, delimiter)));
+        let open = trailing_empty_cells(&next);
         row.truncate(row.len() - open.min(trailing_empty_cells(&row)));
         let width = names.as_ref().map_or(row.len(), Vec::len);
         if names.is_none() && width > MAX_WIDTH {
@@ -266,6 +276,24 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
         return Some(TextLayout { delimiter, names, width, rows_at, line });
     }
     None
+}
+
+/// The first two rows with as many cells as most of these rows. The first of all, alone, if it has another number of
+/// cells although nothing is beside the table.
+fn typical_rows<'a>(
+    first: Vec<&'a [u8]>,
+    below: &[(usize, usize, &'a [u8])],
+    delimiter: u8,
+) -> (Vec<&'a [u8]>, Vec<&'a [u8]>) {
+    let below = below.iter().map(|(_, _, line)| *line).filter(|line| comment(line).is_none());
+    let below =
+        below.take_while(|line| line.len() <= MAX_LINE_BYTES).map(|line| cells(line, delimiter));
+    let is_row = |row: &Vec<&[u8]>| row.iter().any(|cell| is_number(cell, delimiter));
+    let rows = || std::iter::once(first.clone()).chain(below.clone().take_while(is_row));
+    let most = most_frequent(rows().map(|row| row.len()));
+    let width = if table_width(&first, most) == most { most } else { first.len() };
+    let mut typical = rows().filter(|row| row.len() == width);
+    (typical.next().unwrap_or_default(), typical.next().unwrap_or_default())
 }
 
 fn is_sparse_row(line: &[u8], delimiter: u8, width: usize) -> bool {
@@ -284,11 +312,9 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     let texts = |line: &[u8]| -> Option<Vec<String>> {
         let own = comment(line).unwrap_or(line);
         let mut cells = cells(own, delimiter);
-        let open = trailing_empty_cells(row);
-        cells.truncate(
-            cells.len() - trailing_empty_cells(&cells).min(cells.len().saturating_sub(row.len())),
-        );
+        cells.truncate(table_width(&cells, row.len()));
         // Rows may end in delimiters or begin with an unnamed index.
+        let open = trailing_empty_cells(row);
         let fits = match cells.len() {
             count if count <= row.len() && count + open >= row.len() => true,
             count if count + 1 == row.len() && count >= MIN_CELLS => {
@@ -453,7 +479,7 @@ pub(super) fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
 }
 
 fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
-    let TextRows { values, mut billionths, texts, text_counts, lines } = rows;
+    let TextRows { values, mut billionths, texts, text_counts, lines, beside } = rows;
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |at: &usize| {
         let finite = values[*at].iter().filter(|value| value.is_finite()).count();
@@ -461,7 +487,8 @@ fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
         rows == 0 || (finite > 0 && finite >= text_counts[*at])
     };
     let (numeric, text_columns): (Vec<usize>, Vec<usize>) = (0..values.len()).partition(is_numeric);
-    let mut made = Table { rows, lines, text_columns, ..Table::default() };
+    let notes = beside.map(CellsBeside::note).into_iter().collect();
+    let mut made = Table { rows, lines, text_columns, notes, ..Table::default() };
     let Some(names) = names else {
         let columns: Vec<&Vec<f64>> = numeric.iter().map(|&at| &values[at]).collect();
         let all = (0..rows).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
@@ -674,6 +701,13 @@ mod tests {
                 4,
             ),
             ("0.5,1.5,2.5,,\n0.6,1.6,2.6,,\n", b',', None, 3),
+            ("t,q1,q2,,by hand\n0,1,2\n1,2,3\n", b',', owned_names(&["t", "q1", "q2"]), 3),
+            (
+                "t,q1,q2\n0,1,2,,by hand\n1,2,3,,7\n2,3,4\n3,4,5\n4,5,6\n",
+                b',',
+                owned_names(&["t", "q1", "q2"]),
+                3,
+            ),
             (" # a log\n\t% by hand\nt,q1,q2\n0,1,2\n", b',', owned_names(&["t", "q1", "q2"]), 3),
         ] {
             assert_eq!(names(text), Some((delimiter, expected, width)), "{text:?}");

@@ -120,6 +120,8 @@ pub(super) struct Table {
     pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
     /// Rows and columns missing from the table.
     pub losses: Vec<RowLoss>,
+    /// Content of the file that is neither read nor damaged.
+    pub notes: Vec<String>,
     /// Line of each row, from 1, in text files.
     pub lines: Vec<usize>,
     /// Topic of the only pose, if its columns do not name it. Empty within a dataset.
@@ -531,6 +533,7 @@ impl Tables {
             for loss in &table.losses {
                 loss.report(&label, context.losses);
             }
+            table.notes.drain(..).for_each(|note| intake.note(path, note));
             // The losses explain why it is empty.
             if table.columns.is_empty() && !table.losses.is_empty() {
                 continue;

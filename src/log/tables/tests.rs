@@ -607,6 +607,25 @@ fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
 }
 
 #[test]
+fn cells_beside_a_table_of_text_are_noted() {
+    for (line, cells, note) in [
+        (2, ",,by hand,1.25", Some("cells beside the table are not used: 2, from line 2 on")),
+        (30, ",,,7", Some("cells beside the table are not used: 1, from line 30 on")),
+        (1, ",,by hand", None),
+    ] {
+        let log = text_with(",", line, |own| format!("{own}{cells}"));
+        assert_eq!(topic(&log, "q").messages, 40, "{cells}");
+        assert_eq!(log.losses, []);
+        let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
+        let found = notes.iter().find(|note| note.contains("beside")).copied();
+        assert_eq!(found, note, "{notes:?}");
+    }
+    // No cell separates it from the row.
+    let log = text_with(",", 3, |own| format!("{own},7"));
+    assert!(log.losses[0].what.contains("line 3: 8 columns, not 7"), "{:?}", log.losses);
+}
+
+#[test]
 fn first_rows_that_are_mostly_empty_are_rows() {
     for delimiter in [",", "\t"] {
         let empty = |line: &str| {

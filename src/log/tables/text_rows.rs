@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::csv::{
     MAX_LINE_BYTES, comment, decimal_billionths, is_text, number, repeats_names, split_cells,
-    trailing_empty_cells,
+    table_width, trailing_empty_cells,
 };
 use super::{ReadContext, TableError};
 use crate::Extent;
@@ -37,6 +37,28 @@ pub(super) struct TextRows<'a> {
     pub text_counts: Vec<usize>,
     /// Line of each row, from `first_line`.
     pub lines: Vec<usize>,
+    pub beside: Option<CellsBeside>,
+}
+
+/// Cells beside a table, which an empty cell separates from its rows, such as notes in a spreadsheet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellsBeside {
+    count: usize,
+    /// Line of the first.
+    line: usize,
+}
+
+impl CellsBeside {
+    pub fn add(known: &mut Option<Self>, count: usize, line: usize) {
+        if count > 0 {
+            known.get_or_insert(Self { count: 0, line }).count += count;
+        }
+    }
+
+    pub fn note(self) -> String {
+        let Self { count, line } = self;
+        format!("cells beside the table are not used: {count}, from line {line} on")
+    }
 }
 
 impl<'a> TextRows<'a> {
@@ -47,6 +69,7 @@ impl<'a> TextRows<'a> {
             texts: vec![None; width],
             text_counts: vec![0; width],
             lines: Vec::new(),
+            beside: None,
         }
     }
 
@@ -65,6 +88,9 @@ impl<'a> TextRows<'a> {
             *all += own;
         }
         self.lines.extend(more.lines.iter().map(|own| first_line + own));
+        if let Some(CellsBeside { count, line }) = more.beside {
+            CellsBeside::add(&mut self.beside, count, first_line + line);
+        }
     }
 }
 
@@ -182,6 +208,8 @@ impl<'a> Block<'a> {
             false => split_cells(text, delimiter, row),
         }
         row.truncate(row.len() - trailing_empty_cells(row).min(row.len().saturating_sub(width)));
+        let others = row.drain(table_width(row, width)..).filter(|cell| !cell.is_empty()).count();
+        CellsBeside::add(&mut self.rows.beside, others, line);
         numbers.clear();
         numbers.extend(row.iter().map(|cell| number(cell, delimiter)));
         let texts_in_row =

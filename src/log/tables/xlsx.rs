@@ -1,10 +1,11 @@
 //! Excel workbooks (`.xlsx`). Each sheet with rows of numbers is a text table.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read, copy, sink};
 
 use calamine::{DataRef, ExcelDateTime, Reader, Xlsx};
 
+use super::text_rows::CellsBeside;
 use super::{Episodes, MAX_COLUMNS, ReadContext, TableError, csv, first_line};
 use crate::memory_budget::MemoryBudget;
 
@@ -25,16 +26,20 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     let mut book: Xlsx<_> = Xlsx::new(Cursor::new(bytes)).map_err(|error| refusal(&error))?;
     let mut found: Episodes = Vec::new();
     for name in book.sheet_names().into_iter().take(MAX_SHEETS) {
-        let text = match sheet_text(&mut book, &name, context.memory) {
-            Ok(text) => text,
+        let text = sheet_text(&mut book, &name, context.memory);
+        let (text, beside) = match text.and_then(|text| align_rows(&text, context.memory)) {
+            Ok(aligned) => aligned,
             Err(error) => {
                 error.in_part(&name).report(None, context.losses);
                 continue;
             }
         };
         if csv::is_table(text.as_bytes()) {
-            let tables = csv::read(text.as_bytes(), context)?;
-            found.extend(tables.into_iter().map(|(_, table)| (name.clone(), table)));
+            for (_, mut table) in csv::read(text.as_bytes(), context)? {
+                let note = beside.map(|beside| format!("sheet '{name}': {}", beside.note()));
+                table.notes.extend(note);
+                found.push((name.clone(), table));
+            }
         }
     }
     if found.is_empty() {
@@ -67,7 +72,8 @@ fn check_size(bytes: &[u8], memory: &MemoryBudget) -> Result<(), TableError> {
     Ok(())
 }
 
-/// The sheet as text, with a line for each row and tabs between the cells.
+/// The sheet as text, with a line for each row and tabs between the cells. Rows end at their last cell with a value: a cell
+/// that only has a style is none.
 fn sheet_text(
     book: &mut Xlsx<Cursor<&[u8]>>,
     name: &str,
@@ -78,7 +84,8 @@ fn sheet_text(
     let (mut row, mut column) = (0, 0);
     while let Some(cell) = cells.next_cell().map_err(|error| refusal(&error))? {
         let (at_row, at_column) = cell.get_position();
-        if at_column as usize >= MAX_COLUMNS || at_row < row {
+        let value = value_text(cell.get_value());
+        if at_column as usize >= MAX_COLUMNS || at_row < row || value.trim().is_empty() {
             continue;
         }
         if at_row > row {
@@ -90,24 +97,55 @@ fn sheet_text(
         }
         text.extend(std::iter::repeat_n('\t', (at_column - column) as usize));
         column = at_column;
-        push_value(cell.get_value(), &mut text);
+        text += &value;
         memory.check_available(text.len() as u64)?;
     }
     text.push('\n');
     Ok(text)
 }
 
-fn push_value(value: &DataRef<'_>, text: &mut String) {
+/// The rows as wide as the table in the sheet, and the cells beside it. Its width is that of most rows; names next to
+/// them are of columns that are mostly empty.
+fn align_rows(
+    text: &str,
+    memory: &MemoryBudget,
+) -> Result<(String, Option<CellsBeside>), TableError> {
+    let width_of = |row: &str| row.split('\t').count();
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    for width in text.lines().map(width_of).filter(|width| *width >= csv::MIN_CELLS) {
+        *counts.entry(width).or_default() += 1;
+    }
+    let most = counts.iter().max_by_key(|&(width, count)| (count, width)).map(|(width, _)| *width);
+    let head = most.and_then(|most| text.lines().position(|row| width_of(row) >= most));
+    let (Some(most), Some(head)) = (most, head) else { return Ok((text.to_owned(), None)) };
+    let names = text.lines().nth(head).unwrap_or_default().split('\t').skip(most);
+    let width = most + names.take_while(|name| !name.is_empty()).count();
+    let (mut aligned, mut beside) = (String::with_capacity(text.len()), None);
+    for (index, row) in text.lines().enumerate() {
+        let end = row.match_indices('\t').nth(width - 1).map_or(row.len(), |(at, _)| at);
+        aligned += &row[..end];
+        if index >= head && !row.is_empty() {
+            aligned.extend(std::iter::repeat_n('\t', width.saturating_sub(width_of(row))));
+        }
+        aligned.push('\n');
+        let others = row[end..].split('\t').filter(|cell| !cell.is_empty()).count();
+        CellsBeside::add(&mut beside, others, index + 1);
+        memory.check_available(aligned.len() as u64)?;
+    }
+    Ok((aligned, beside))
+}
+
+fn value_text(value: &DataRef<'_>) -> String {
     let plain = |own: &str| own.replace(['\t', '\n', '\r', '"'], " ");
     match value {
-        DataRef::Int(own) => *text += &own.to_string(),
-        DataRef::Float(own) => *text += &own.to_string(),
-        DataRef::Bool(own) => *text += if *own { "1" } else { "0" },
-        DataRef::String(own) => *text += &plain(own),
-        DataRef::SharedString(own) => *text += &plain(own),
-        DataRef::DateTimeIso(own) | DataRef::DurationIso(own) => *text += &plain(own),
-        DataRef::DateTime(own) => *text += &seconds(own).to_string(),
-        _ => {}
+        DataRef::Int(own) => own.to_string(),
+        DataRef::Float(own) => own.to_string(),
+        DataRef::Bool(own) => u8::from(*own).to_string(),
+        DataRef::String(own) => plain(own),
+        DataRef::SharedString(own) => plain(own),
+        DataRef::DateTimeIso(own) | DataRef::DurationIso(own) => plain(own),
+        DataRef::DateTime(own) => seconds(own).to_string(),
+        _ => String::new(),
     }
 }
 

@@ -15,13 +15,93 @@ fn array_of(shape: &[usize], number: impl Fn(usize) -> f64) -> Vec<u8> {
 }
 
 fn npz(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    archive(arrays.iter().map(|(name, array)| (format!("{name}.npy"), array.clone())))
+}
+
+fn archive(members: impl IntoIterator<Item = (String, Vec<u8>)>) -> Vec<u8> {
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    for (name, array) in arrays {
+    for (name, content) in members {
         let options = zip::write::SimpleFileOptions::default();
-        archive.start_file(format!("{name}.npy"), options).expect("a member");
-        archive.write_all(array).expect("written");
+        archive.start_file(name, options).expect("a member");
+        archive.write_all(&content).expect("written");
     }
     archive.finish().expect("an archive").into_inner()
+}
+
+/// A workbook with one sheet. Cells of the column with this letter and the row with this number; without a value, a
+/// cell only has a style.
+fn workbook(cells: &[(char, usize, Option<String>)]) -> Vec<u8> {
+    let last = cells.iter().map(|(_, row, _)| *row).max().unwrap_or(0);
+    let row = |row: usize| -> String {
+        let mut own: Vec<_> = cells.iter().filter(|(_, at, _)| *at == row).collect();
+        own.sort();
+        let cell = |(column, row, value): &(char, usize, Option<String>)| match value {
+            Some(text) => {
+                format!("<c r=\"{column}{row}\" t=\"inlineStr\"><is><t>{text}</t></is></c>")
+            }
+            None => format!("<c r=\"{column}{row}\" s=\"0\"/>"),
+        };
+        let own: String = own.into_iter().map(cell).collect();
+        format!("<row r=\"{row}\">{own}</row>")
+    };
+    let main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main";
+    let office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships";
+    let package = "http://schemas.openxmlformats.org/package/2006";
+    let rows: String = (1..=last).map(row).collect();
+    let members = [
+        ("[Content_Types].xml", format!("<Types xmlns=\"{package}/content-types\"/>")),
+        (
+            "xl/_rels/workbook.xml.rels",
+            format!(
+                "<Relationships xmlns=\"{package}/relationships\"><Relationship Id=\"rId1\" \
+                Type=\"{office}/worksheet\" Target=\"worksheets/sheet1.xml\"/></Relationships>"
+            ),
+        ),
+        (
+            "xl/workbook.xml",
+            format!(
+                "<workbook xmlns=\"{main}\" xmlns:r=\"{office}\"><sheets>\
+                <sheet name=\"run\" sheetId=\"1\" r:id=\"rId1\"/></sheets></workbook>"
+            ),
+        ),
+        (
+            "xl/worksheets/sheet1.xml",
+            format!("<worksheet xmlns=\"{main}\"><sheetData>{rows}</sheetData></worksheet>"),
+        ),
+    ];
+    archive(members.map(|(name, text)| (name.to_owned(), text.into_bytes())))
+}
+
+/// Names, then a time and six joints in each row; the last column only has a number in row 9.
+#[test]
+fn cells_beside_the_table_of_a_sheet_are_noted() {
+    let names = ["t", "q1", "q2", "q3", "q4", "q5", "q6", "event"];
+    let mut table: Vec<(char, usize, Option<String>)> =
+        ('A'..='H').zip(names).map(|(column, name)| (column, 1, Some(name.to_owned()))).collect();
+    for row in 2..40 {
+        table.extend(('A'..='G').zip(1..).map(|(column, at)| {
+            (column, row, Some(format!("{:.2}", 0.01 * row as f64 * f64::from(at))))
+        }));
+    }
+    table.push(('H', 9, Some("7".to_owned())));
+    let text = |own: &str| Some(own.to_owned());
+    for (beside, note) in [
+        (vec![], None),
+        (vec![('K', 3, None), ('L', 4, None)], None),
+        (vec![('K', 3, text("by hand")), ('K', 4, text("1.25"))], Some("2, from line 3 on")),
+        (vec![('J', 1, text("by hand"))], Some("1, from line 1 on")),
+        (vec![('I', 9, text("start"))], Some("1, from line 9 on")),
+    ] {
+        let log = plain(&workbook(&[table.clone(), beside].concat()));
+        assert_eq!(joints(&log, "q").1.len(), 38);
+        assert!(log.topics.iter().any(|topic| topic.name == "event"));
+        assert!(log.losses.is_empty(), "{:?}", log.losses);
+        let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
+        let found = notes.iter().find(|note| note.contains("beside")).copied();
+        let expected =
+            note.map(|own| format!("sheet 'run': cells beside the table are not used: {own}"));
+        assert_eq!(found, expected.as_deref(), "{notes:?}");
+    }
 }
 
 /// No time: it does not increase.
