@@ -8,7 +8,8 @@ use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
 use super::tables::{
-    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, rows_of_numbers, to_utf8,
+    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, rows_of_lists,
+    rows_of_numbers, to_utf8,
 };
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
@@ -296,6 +297,8 @@ fn parse_numbers(bytes: &[u8], layout: Option<&RowLayout>) -> Option<NumberTable
         return None;
     }
     let bytes = &*to_utf8(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+    let rows = rows_of_lists(bytes);
+    let bytes = rows.as_deref().unwrap_or(bytes);
     let first = bytes
         .split(|byte| *byte == b'\n')
         .find(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"#"))?;
@@ -468,6 +471,13 @@ mod tests {
         assert!(line.contains("needs rotations"), "{line}");
         let line = read("q[2],xyz").unwrap_err();
         assert!(line.contains("--columns names 5 columns, but its rows have 10"), "{line}");
+    }
+
+    #[test]
+    fn lists_within_a_list_are_configurations() {
+        let table = parse_numbers(b"q = [\n [1, 2, 3],\n [4, 5, 6]\n]\n", None).unwrap();
+        assert_eq!(table.rows, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+        assert!(table.dropped.is_empty(), "{table:?}");
     }
 
     #[test]

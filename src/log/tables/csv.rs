@@ -114,6 +114,9 @@ fn to_rows(bytes: &[u8]) -> Option<(Cow<'_, [u8]>, TextLayout)> {
 fn with_single_numbers(bytes: &[u8]) -> Cow<'_, [u8]> {
     let text = text_encoding::to_utf8(bytes);
     let text = vector_cells::without_numpy_scalars(&text).map_or(text, Cow::Owned);
+    if let Some(rows) = vector_cells::rows_of_lists(&text) {
+        return Cow::Owned(rows);
+    }
     let text = vector_cells::join_lines(&text).map_or(text, Cow::Owned);
     match vector_cells::expand(&text).or_else(|| vector_cells::without_brackets(&text)) {
         Some(expanded) => Cow::Owned(expanded),

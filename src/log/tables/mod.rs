@@ -88,6 +88,7 @@ pub(super) use self::trajectory::{
     detect as detect_trajectory, is_list_of_times, is_tum_by_name,
     times_beside as pose_times_beside,
 };
+pub(crate) use self::vector_cells::rows_of_lists;
 use self::velocity_files::{Velocities, VelocityFile};
 pub(super) use self::xlsx::is_workbook;
 pub(super) use self::zarr::is_zip_store;

@@ -1,6 +1,10 @@
-//! Text tables with lists of numbers as cells: `0.1,"[0.2, 0.3]"`. Each list becomes neighbouring cells.
+//! Text tables with lists of numbers as cells, such as `0.1,"[0.2, 0.3]"`, or as rows. Each list becomes neighbouring cells.
 
-use super::csv::{cells, comment, mark_length};
+use std::ops::Range;
+
+use memchr::memchr_iter;
+
+use super::csv::{cells, comment, lines, mark_length};
 use super::{MAX_COLUMNS, MAX_WIDTH};
 use crate::rtde;
 
@@ -41,6 +45,71 @@ pub(super) fn join_lines(bytes: &[u8]) -> Option<Vec<u8>> {
         }
     }
     Some(joined)
+}
+
+/// The rows of a list of lists, as Python and numpy print it: `q = [`, `[0.1, 0.2],` … or `array([[0.1, 0.2],` … Each row is
+/// one line, where its list begins unless that line has several, with spaces between its numbers. `None` for other texts.
+pub(crate) fn rows_of_lists(bytes: &[u8]) -> Option<Vec<u8>> {
+    let text = &bytes[mark_length(bytes)..];
+    let is_word = |byte: u8| byte.is_ascii_alphanumeric() || b"._".contains(&byte);
+    let (from, ..) = lines(text).find(|(_, _, line)| comment(line).is_none())?;
+    let (mut rows, mut end): (Vec<Range<usize>>, usize) = (Vec::new(), text.len());
+    // Whether each open bracket is that of a list, not of a call such as `array(`.
+    let (mut open, mut depth) = (Vec::new(), 0_usize);
+    for (at, &byte) in text.iter().enumerate().skip(from) {
+        let follows_word = at > from && is_word(text[at - 1]);
+        match byte {
+            b'[' | b'(' => {
+                let is_list = byte == b'[' || !follows_word;
+                open.push(is_list);
+                depth += usize::from(is_list);
+                if is_list && depth == 2 {
+                    rows.push(at + 1..text.len());
+                }
+            }
+            b']' | b')' => {
+                let is_list = open.pop()?;
+                if let Some(row) = rows.last_mut().filter(|_| is_list && depth == 2) {
+                    row.end = at;
+                }
+                depth -= usize::from(is_list);
+                if open.is_empty() {
+                    end = at + 1;
+                    break;
+                }
+            }
+            _ if depth >= 2 || byte.is_ascii_whitespace() || b"=,;".contains(&byte) => {}
+            // Only names may be outside of the rows.
+            _ if !is_word(byte) || (byte.is_ascii_digit() && !follows_word) => return None,
+            _ => {}
+        }
+    }
+    if rows.len() < 2 {
+        return None;
+    }
+    let is_separator = |byte: &u8| byte.is_ascii_whitespace() || b"[](),;".contains(byte);
+    let line_ends = |part: Range<usize>| memchr_iter(b'\n', &text[part]).count();
+    let mut made = text[..from].to_vec();
+    // Ends of lines in the text, and in the rows.
+    let (mut passed, mut written, mut last) = (0, 0, from);
+    for row in rows {
+        passed += line_ends(last..row.start);
+        last = row.start;
+        made.extend(std::iter::repeat_n(b'\n', passed.saturating_sub(written)));
+        let numbers = text[row].split(is_separator).filter(|own| !own.is_empty());
+        made.extend(numbers.collect::<Vec<_>>().join(&b' '));
+        made.push(b'\n');
+        written = passed.max(written) + 1;
+    }
+    if open.is_empty() {
+        passed += line_ends(last..end);
+        made.extend(std::iter::repeat_n(b'\n', passed.saturating_sub(written)));
+        made.extend(text[end..].strip_prefix(b";").unwrap_or(&text[end..]));
+    } else {
+        // The file ends within its last row.
+        made.pop();
+    }
+    Some(made)
 }
 
 /// The numbers of lines such as `0.1 [0.2, 0.3] p[0.4, 0.5]` or `{0.1; 0.2}`, by spaces. `None` if a line has no
@@ -216,6 +285,30 @@ mod tests {
             let count =
                 rows.map(|rows| cells(rows.split(|b| *b == b'\n').next().unwrap(), b' ').len());
             assert_eq!(count, expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn lists_within_a_list_are_rows() {
+        for (text, expected) in [
+            ("q = [\n  [1, 2, 3],\n  [4, 5, 6]\n]\n", Some("\n1 2 3\n4 5 6\n\n")),
+            ("# by hand\nq = [(1, 2, 3),\n(4, 5, 6),]", Some("# by hand\n1 2 3\n4 5 6\n")),
+            ("array([[1., 2.,\n  3.],\n [4., 5.,\n  6.]])", Some("1. 2. 3.\n\n4. 5. 6.\n")),
+            ("q = np.array([[1, 2, 3], [4, 5, 6]], dtype=float32);\n", Some("1 2 3\n4 5 6\n\n")),
+            ("[array([1, 2, 3]),\n array([4, 5, 6])]", Some("1 2 3\n4 5 6\n")),
+            ("t = [[[1, 2],\n [3, 4]],\n [[5, 6],\n [7, 8]]]", Some("1 2 3 4\n\n5 6 7 8\n")),
+            ("q = [\n [1, 2, 3],\n [4, 5", Some("\n1 2 3\n4 5")),
+            ("[1, 2, 3]\n[4, 5, 6]\n", None),
+            ("q = [1, 2, 3]\n", None),
+            ("q = [[1, 2, 3]]\n", None),
+            ("q = [\n 1, [2, 3, 4],\n 5, [6, 7, 8]\n]\n", None),
+            ("{'q': [[1, 2, 3], [4, 5, 6]]}\n", None),
+            ("t,q [rad]\n0.1,0.2\n", None),
+            ("0.1 [0.2, 0.3] p[4, 5]\n", None),
+            ("q]\n", None),
+        ] {
+            let rows = rows_of_lists(text.as_bytes()).map(|own| String::from_utf8(own).unwrap());
+            assert_eq!(rows.as_deref(), expected, "{text}");
         }
     }
 
