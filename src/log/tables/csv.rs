@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use jiff::civil::{Date, Time};
+use memchr::{memchr_iter, memmem};
 
 use super::text_rows::{self, CellsBeside, RowFormat, TextRows};
 use super::{
@@ -428,14 +429,45 @@ pub(super) fn read_rows(
         None => (0..width).filter(|at| context.times.contains(at)).collect(),
     };
     let format = RowFormat { delimiter, names: names.as_deref(), width, times: &times };
-    let mut rows = text_rows::read(&bytes[rows_at..], line, &format, context)?;
+    let next = next_table(&bytes[rows_at..], &format);
+    let end = next.map_or(bytes.len(), |at| rows_at + at);
+    let mut rows = text_rows::read(&bytes[rows_at..end], line, &format, context)?;
     let first = bytes[rows_at..].split(|byte| *byte == b'\n').next().unwrap_or_default();
     for (at, cell) in cells(first, delimiter).into_iter().enumerate() {
         if let (Some(period_s), Some(own)) = (clock_period_s(cell), rows.values.get_mut(at)) {
             continue_times(own, period_s);
         }
     }
-    Ok(build_table(names, rows))
+    let mut table = build_table(names, rows);
+    if next.is_some() {
+        let line = line + memchr_iter(b'\n', &bytes[rows_at..end]).count();
+        table.notes.push(format!(
+            "another table follows from line {line} and is not read; to use it, save it as a file of its own"
+        ));
+    }
+    Ok(table)
+}
+
+/// Offset of another table below these rows: an empty line and other column names are before its rows.
+fn next_table(bytes: &[u8], format: &RowFormat<'_>) -> Option<usize> {
+    /// Places searched for names. A damaged file may have any number of them.
+    const MAX_PLACES: usize = 100;
+    let is_row = |line: &[u8]| {
+        cells(line, format.delimiter).iter().any(|cell| is_number(cell, format.delimiter))
+    };
+    let ends: [&[u8]; 2] = [b"\n\n", b"\n\r\n"];
+    let places = ends.into_iter().flat_map(|end| {
+        memmem::find_iter(bytes, end).filter_map(move |at| {
+            let from = at + end.len();
+            let (offset, _, line) = lines(&bytes[from..]).next()?;
+            (!is_row(line)).then_some(from + offset)
+        })
+    });
+    let has_other_names = |at: &usize| {
+        let names = detect_layout(&bytes[*at..]).and_then(|layout| layout.names);
+        names.is_some_and(|names| Some(&*names) != format.names)
+    };
+    places.take(MAX_PLACES).find(has_other_names)
 }
 
 /// When a time of day without its date starts again: `40:34.4` each hour, `10:40:34` each day.

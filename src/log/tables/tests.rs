@@ -625,6 +625,25 @@ fn cells_beside_a_table_of_text_are_noted() {
     assert!(log.losses[0].what.contains("line 3: 8 columns, not 7"), "{:?}", log.losses);
 }
 
+/// As Vicon's Nexus exports segments and markers.
+#[test]
+fn another_table_below_the_rows_is_noted() {
+    let other = "Trajectories\n100\nFrame,X,Y,Z\n,mm,mm,mm\n1,0.5,2,3\n2,0.6,2,3\n";
+    let as_wide = "Forces\nframe,a,b,c,d,e,f\n1,2,3,4,5,6,7\n2,2,3,4,5,6,7\n";
+    for (below, is_other) in [(other, true), (as_wide, true), ("t,q1,q2,q3,q4,q5,q6\n", false)] {
+        for end in ["\n", "\r\n"] {
+            let below = below.replace('\n', end);
+            let log = text_with(",", 41, |line| format!("{line}{end}{end}{below}"));
+            assert_eq!(topic(&log, "q").messages, 40, "{below}");
+            assert_eq!(log.losses, []);
+            let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
+            let is_noted =
+                notes.iter().any(|note| note.contains("another table follows from line 43"));
+            assert_eq!(is_noted, is_other, "{notes:?}");
+        }
+    }
+}
+
 #[test]
 fn first_rows_that_are_mostly_empty_are_rows() {
     for delimiter in [",", "\t"] {
