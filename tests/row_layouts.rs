@@ -155,6 +155,28 @@ fn a_table_without_times_is_refused_with_its_columns_and_the_rate_of_its_velocit
     assert!(asks && !refusal.what.contains("imply"), "{refusal}");
 }
 
+#[test]
+fn a_proposal_states_the_units_in_the_names_of_a_pose() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let convention: Convention = "rotvec".parse().expect("a convention");
+    let row = |row: &Vec<f64>| {
+        let rotation = rotation_from_xyzw([10, 11, 12, 13].map(|at| row[at])).expect("a rotation");
+        let position = [7, 8, 9].map(|at| 1e3 * row[at]);
+        let angles = convention.numbers(&rotation).map(f64::to_degrees);
+        [&row[1..7], &position, &angles].concat()
+    };
+    let rows: Vec<Vec<f64>> = CLEAN.rows().iter().map(row).collect();
+    let names = "q1,q2,q3,q4,q5,q6,X [mm],Y [mm],Z [mm],RX [deg],RY [deg],RZ [deg]\n".to_owned();
+    let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];
+    let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+    let layout = "q[6],x:mm,y:mm,z:mm,rot[3]:deg";
+    assert!(refusal.remedy.contains(&format!("--columns '{layout}@RATE'")), "{refusal}");
+    let layout = format!("{layout}@{}", 1.0 / STEP_S);
+    let pasted = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
+    assert_eq!(fault_codes(&pasted), Vec::<&str>::new(), "{:?}", pasted.findings);
+    assert_eq!(pasted.error, None);
+}
+
 /// No layout states the order of joints that are named by parts of the arm.
 #[test]
 fn named_joints_without_times_lack_only_the_rate() {

@@ -10,7 +10,7 @@ use super::joint_clock::samples_with_true_stamps;
 use super::joint_stamps::{JointStamps, joint_stamps};
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{
-    DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence, euler, named_units,
+    DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence, euler,
     unidentified_columns,
 };
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
@@ -399,7 +399,7 @@ impl PoseEvidenceOfArm<'_> {
             source_kind: stream.source_kind.unwrap_or(PoseSourceKind::Unknown),
             euler,
             labels: stream.labels.filter(|_| is_undeclared),
-            named_units: named_units(&stream.cells),
+            named_units: stream.named_units,
             is_of_table: !stream.cells.is_empty(),
             unidentified_columns: unidentified_columns(run, source),
             is_uncorrected: false,

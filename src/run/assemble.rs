@@ -13,7 +13,8 @@ mod transforms;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::log::Log;
+use crate::geometry::Units;
+use crate::log::{DeclaredPose, Log};
 use crate::robot::{Robot, RobotError};
 use crate::stream::Columns;
 use crate::time::Stamp;
@@ -62,9 +63,10 @@ impl Run {
     /// # Errors
     /// If the caller's options are invalid. Faults of the log itself are in [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
-        let options = &match log.declared_poses() {
-            poses if poses.is_empty() => Cow::Borrowed(options),
-            poses => Cow::Owned(options.clone().with_declared(poses)),
+        let by_layouts = log.declared_poses();
+        let options = &match by_layouts.as_slice() {
+            [] => Cow::Borrowed(options),
+            poses => Cow::Owned(options.clone().with_declared(poses.to_vec())),
         };
         let given = models::read_given_or_shared(options)?;
         let calibrations = given_calibrations::given(&options.calibrations)?;
@@ -73,6 +75,15 @@ impl Run {
         let robots = models::robots_for_numbered_joints(&given, log.robot_type.as_deref());
         joint_order::name_numbered_joints(&mut topics_of_log, &robots);
         let mut streams = split(topics_of_log);
+        for DeclaredPose { topic, units, .. } in &by_layouts {
+            for stream in streams.iter_mut().filter(|stream| stream.topic == *topic) {
+                let Units { length, angle } = stream.named_units;
+                stream.named_units = Units {
+                    length: length.filter(|_| units.length.is_none()),
+                    angle: angle.filter(|_| units.angle.is_none()),
+                };
+            }
+        }
         for declared in &options.declared {
             // A topic that only the config expects is a finding, not an error.
             let by_config = options.topics.iter().any(|info| info.is_of(&declared.topic));

@@ -2,12 +2,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::geometry::{Convention, RotationEncoding};
+use crate::geometry::{Convention, RotationEncoding, Units};
 use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, ClockSource, StreamClock};
+use super::columns::named_units;
 use super::role::{
     Role, documented_convention, named_encodings, role_by_content, role_by_name, split_words,
 };
@@ -61,6 +62,8 @@ pub struct Stream {
     pub is_from_table: bool,
     /// Its table columns, in `[columns]` syntax.
     pub cells: Vec<String>,
+    /// Units of poses by the names of their columns, except for numbers that the caller's layout converts.
+    pub named_units: Units,
     /// Whether its receive times come from its motion.
     pub is_aligned_by_motion: bool,
     /// Rotation encoding by column names.
@@ -220,6 +223,7 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
     let undecodable = topic.undecodable.as_ref().map_or(0, |undecodable| undecodable.messages);
     let kind = if topic.type_name.is_empty() { "column" } else { "type" };
     let is_from_table = topic.is_from_table();
+    let cells: Vec<String> = topic.cells.iter().map(|cell| cell.name.clone()).collect();
     let mut stream = Stream {
         is_from_table,
         topic: topic.name,
@@ -248,7 +252,8 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
             .filter(|cell| cell.is_unidentified)
             .map(|cell| cell.name.clone())
             .collect(),
-        cells: topic.cells.into_iter().map(|cell| cell.name).collect(),
+        named_units: named_units(&cells),
+        cells,
         is_aligned_by_motion: topic.is_aligned_by_motion,
         columns: None,
     };

@@ -6,6 +6,7 @@
 mod cells;
 mod commands;
 mod contradictions;
+mod named_units;
 mod roles;
 mod row_layout;
 mod shared;
@@ -24,6 +25,7 @@ use super::role::{Role, array_role};
 use super::{models, skeleton};
 pub use cells::selectors;
 use cells::{NumberKind, TableNumbers, is_unidentified};
+pub(super) use named_units::named_units;
 use roles::IdentifiedArm;
 use row_layout::{Assignment, Content};
 pub use shared::{SharedColumns, SharedMapping, SharedRow};

@@ -1,6 +1,6 @@
 //! The meaning of a table's columns as a value of `--columns`.
 
-use crate::geometry::{AngleUnit, Units};
+use crate::geometry::{AngleUnit, LengthScale, Units};
 use crate::log::{
     Cell, LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
 };
@@ -8,6 +8,7 @@ use crate::run::role::{Role, role_by_content, role_outside_arm};
 use crate::stream::{Columns, JointColumns};
 
 use super::cells::is_unidentified;
+use super::named_units::named_units;
 
 /// Columns with one meaning, in order.
 pub(super) struct Assignment {
@@ -31,7 +32,7 @@ struct Part {
     arm: Option<String>,
     is_command: bool,
     meaning: Meaning,
-    unit: Option<AngleUnit>,
+    units: Units,
     /// Index in the meaning, and its width.
     within: (usize, usize),
 }
@@ -56,7 +57,7 @@ pub(super) fn layout(
         arm: None,
         is_command: false,
         meaning,
-        unit: None,
+        units: Units::default(),
         within: (0, 1),
     };
     if let Some(at) = shape.time.and_then(place) {
@@ -77,7 +78,7 @@ pub(super) fn layout(
                 arm: part.arm.clone(),
                 is_command: part.is_command,
                 time_unit_s: shape.time_unit_s.filter(|_| part.meaning == Meaning::Time),
-                units: Units { length: None, angle: part.unit },
+                units: part.units,
                 ..LayoutItem::new(part.meaning, 1)
             }),
         }
@@ -89,7 +90,7 @@ pub(super) fn layout(
 impl Part {
     fn continues(&self, last: &Self) -> bool {
         let is_same = self.meaning == last.meaning
-            && (&self.arm, self.is_command, self.unit) == (&last.arm, last.is_command, last.unit);
+            && (&self.arm, self.is_command, self.units) == (&last.arm, last.is_command, last.units);
         let is_repeated =
             matches!(self.meaning, Meaning::Ignored | Meaning::Joints | Meaning::JointVelocities);
         is_same && (is_repeated || self.within.0 > 0)
@@ -99,21 +100,21 @@ impl Part {
 impl Assignment {
     /// Places with their parts. `None` if joints are not in the order of the columns.
     fn parts(&self, places: &[usize]) -> Option<Vec<(usize, Part)>> {
-        let part = |meaning: Meaning, unit: Option<AngleUnit>, within: (usize, usize)| Part {
+        let part = |meaning: Meaning, units: Units, within: (usize, usize)| Part {
             arm: self.arm.clone(),
             is_command: self.is_command,
             meaning,
-            unit,
+            units,
             within,
         };
         let are_ordered = places.windows(2).all(|pair| pair[0] < pair[1]);
-        let all = |meaning: Meaning, unit: Option<AngleUnit>| {
-            let count = places.len();
+        let all = |meaning: Meaning, angle: Option<AngleUnit>| {
+            let (count, units) = (places.len(), Units { length: None, angle });
             let parts = places.iter().enumerate();
-            parts.map(|(at, &place)| (place, part(meaning, unit, (at, count)))).collect()
+            parts.map(|(at, &place)| (place, part(meaning, units, (at, count)))).collect()
         };
         match self.content {
-            Content::Joints(unit) => are_ordered.then(|| all(Meaning::Joints, unit)),
+            Content::Joints(angle) => are_ordered.then(|| all(Meaning::Joints, angle)),
             Content::Velocities => are_ordered.then(|| all(Meaning::JointVelocities, None)),
             Content::Pose(labels) => {
                 let is_run = |places: &[usize]| places.windows(2).all(|it| it[0] + 1 == it[1]);
@@ -121,23 +122,33 @@ impl Assignment {
                     return is_run(places).then(|| all(Meaning::Matrix, None));
                 }
                 let (position, rotation) = places.split_at_checked(3)?;
+                let names: Vec<String> = self.cells.iter().map(|cell| cell.name.clone()).collect();
+                let Units { length, angle } = named_units(&names);
+                let of_position = Units {
+                    length: length.filter(|unit| *unit != LengthScale::default()),
+                    angle: None,
+                };
+                let of_rotation = Units {
+                    length: None,
+                    angle: angle.filter(|unit| *unit != AngleUnit::default()),
+                };
                 let mut parts: Vec<(usize, Part)> = position
                     .iter()
                     .enumerate()
-                    .map(|(axis, &place)| (place, part(Meaning::Axis(axis), None, (0, 1))))
+                    .map(|(axis, &place)| (place, part(Meaning::Axis(axis), of_position, (0, 1))))
                     .collect();
                 let count = rotation.len();
                 match (count, labels) {
                     (4, Some(RotationLabels::Quaternion)) => {
                         let own = rotation.iter().enumerate();
                         parts.extend(own.map(|(at, &place)| {
-                            (place, part(Meaning::QuaternionPart(at), None, (0, 1)))
+                            (place, part(Meaning::QuaternionPart(at), Units::default(), (0, 1)))
                         }));
                     }
                     (3 | 4, _) if is_run(rotation) => {
                         let own = rotation.iter().enumerate();
                         parts.extend(own.map(|(at, &place)| {
-                            (place, part(Meaning::Rotation(None), None, (at, count)))
+                            (place, part(Meaning::Rotation(None), of_rotation, (at, count)))
                         }));
                     }
                     // Without its rotation, the pose is a position.
