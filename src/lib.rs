@@ -86,14 +86,21 @@ pub fn audit_prepared(log: log::Log, options: &Options) -> Result<Audited, Troub
     Audited::audit(log, options, None)
 }
 
-/// Lists the topics of a log with their roles, without an audit.
+/// Lists the topics of a log with their roles, without an audit. If the rows of a table have no times, the report lists
+/// its columns, and [`Report::error`] asks for the rate.
 ///
 /// # Errors
 /// If the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
-    let mut log = audit::open(options)?;
-    prepare(&mut log, &options.run)?;
+    let (mut log, missing_rate) = audit::open_listing(options)?;
+    if let Err(error) = prepare(&mut log, &options.run) {
+        return Err(missing_rate.unwrap_or(error));
+    }
     let read = audit::ReadLog::from_log(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
-    Ok(audit::summarize(&run, read))
+    let report = audit::summarize(&run, read);
+    Ok(match missing_rate {
+        Some(trouble) => report.without_stamps().with_trouble(trouble),
+        None => report,
+    })
 }

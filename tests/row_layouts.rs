@@ -7,7 +7,7 @@ use poseaudit::finding::Status;
 use poseaudit::geometry::{Convention, rotation_from_xyzw};
 use poseaudit::log::FileLayout;
 use poseaudit::report::{Report, Trouble, Verdict};
-use poseaudit::{Options, audit};
+use poseaudit::{Options, audit, info};
 
 use crate::tables::{CLEAN, STEP_S, Table, fault_codes, value_of};
 
@@ -175,6 +175,23 @@ fn a_proposal_states_the_units_in_the_names_of_a_pose() {
     let pasted = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
     assert_eq!(fault_codes(&pasted), Vec::<&str>::new(), "{:?}", pasted.findings);
     assert_eq!(pasted.error, None);
+}
+
+#[test]
+fn a_listing_shows_the_columns_of_a_table_without_times() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows: Vec<Vec<f64>> = CLEAN.rows().iter().map(|row| row[1..].to_vec()).collect();
+    let names = "q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
+    let logs = vec![write(folder.path(), "run.csv", &(names + &text(&rows)))];
+    let refusal = audit_with(&logs, None, None).expect_err("a refusal");
+    let listed = info(&Options { logs, ..Options::default() }).expect("a report");
+    let table = &listed.log.tables[0];
+    assert_eq!(table.layout.as_deref(), Some("q[6],x,y,z,qx,qy,qz,qw@RATE"));
+    let read_as: Vec<&str> = table.columns.iter().map(|column| column.read_as.as_str()).collect();
+    assert_eq!(read_as, ["q", "pose"]);
+    assert!(listed.streams.iter().all(|stream| stream.rate_hz.is_none()), "{:?}", listed.streams);
+    assert_eq!(listed.log.duration_s, None);
+    assert_eq!(listed.error.map(|trouble| trouble.remedy), Some(refusal.remedy));
 }
 
 /// No layout states the order of joints that are named by parts of the arm.

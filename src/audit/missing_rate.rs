@@ -17,16 +17,37 @@ const ASSUMED_RATE_HZ: f64 = 50.0;
 /// If it cannot be read. If the rows of a table have no times, the error states its columns, and the rate that recorded
 /// velocities imply.
 pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
-    log::open(&options.logs, &options.read).map_err(|error| {
-        let question = match &error {
-            LogError::NoTimes { path, what, rows, .. } => question(options, *rows).map(|own| {
-                let what = format!("{what}{}", own.implied);
-                Trouble::log(SourceName::from_path(path), what, own.remedy)
-            }),
-            _ => None,
-        };
-        question.unwrap_or_else(|| error.into())
-    })
+    log::open(&options.logs, &options.read).map_err(|error| with_columns(error, options))
+}
+
+/// Opens a log to list its topics. If the rows of a table have no times, their stamps are those of an assumed rate, and
+/// the error of [`open`] is returned as well.
+///
+/// # Errors
+/// If it cannot be read at an assumed rate.
+pub(crate) fn open_listing(options: &Options) -> Result<(Log, Option<Trouble>), Trouble> {
+    let error = match log::open(&options.logs, &options.read) {
+        Ok(log) => return Ok((log, None)),
+        Err(error) => error,
+    };
+    let is_readable = matches!(error, LogError::NoTimes { .. });
+    let trouble = with_columns(error, options);
+    match is_readable.then(|| open_at_assumed_rate(options, None)).flatten() {
+        Some(log) => Ok((log, Some(trouble))),
+        None => Err(trouble),
+    }
+}
+
+/// States the columns of a table without times.
+fn with_columns(error: LogError, options: &Options) -> Trouble {
+    let question = match &error {
+        LogError::NoTimes { path, what, rows, .. } => question(options, *rows).map(|own| {
+            let what = format!("{what}{}", own.implied);
+            Trouble::log(SourceName::from_path(path), what, own.remedy)
+        }),
+        _ => None,
+    };
+    question.unwrap_or_else(|| error.into())
 }
 
 struct RateQuestion {

@@ -27,7 +27,7 @@ use crate::run::{
 pub use calibrate::{CalibrationResult, calibrate, calibrate_at_fixed_points};
 pub use calibration_input::{CalibrationInput, Measurement};
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
-pub(crate) use missing_rate::open;
+pub(crate) use missing_rate::{open, open_listing};
 pub use options::{Options, Policy};
 
 pub(crate) struct ReadLog {

@@ -76,7 +76,8 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
             sanitize_display(&note.note)
         )?;
     }
-    writeln!(out, "{:.1} s, {messages} messages", duration_s.unwrap_or(0.0))?;
+    let duration = duration_s.map_or(String::new(), |duration_s| format!("{duration_s:.1} s, "));
+    writeln!(out, "{duration}{messages} messages")?;
     for robot in &report.robots {
         let joints = robot.joints.join(", ");
         let (name, base, tip, source) = (&robot.name, &robot.base, &robot.tip, &robot.source);

@@ -95,11 +95,14 @@ fn open_source(of: &Path) -> Result<Source, Trouble> {
     if of.exists() || is_url(of) {
         PathRegistry::check_read_only([of.to_owned()].iter())?;
         let mut options = Options { logs: vec![of.to_owned()], ..Options::default() };
-        let report = with_progress(|progress| {
+        let mut report = with_progress(|progress| {
             options.read.progress = Some(progress);
             poseaudit::info(&options)
         })?;
-        return Ok(Source::Log(Box::new(report)));
+        return match report.error.take() {
+            Some(trouble) => Err(trouble),
+            None => Ok(Source::Log(Box::new(report))),
+        };
     }
     catalogue::find(&name).map(Source::Arm).ok_or_else(|| {
         let similar = catalogue::nearest_names(&name);

@@ -310,6 +310,15 @@ impl Report {
         Self { verdict, error: Some(trouble), ..self }
     }
 
+    /// Omits stamps and rates, because they are assumed.
+    pub(crate) fn without_stamps(mut self) -> Self {
+        (self.log.start_ns, self.log.end_ns, self.log.duration_s) = (None, None, None);
+        for stream in &mut self.streams {
+            (stream.rate_hz, stream.start_ns, stream.end_ns) = (None, None, None);
+        }
+        self
+    }
+
     fn empty() -> Self {
         Self {
             schema: Schema::One,

@@ -126,10 +126,11 @@ pub(crate) fn table_rows(log: &Log) -> Vec<TableRow> {
                 read_as,
             }
         };
+        let rate = if shape.lacks_times { "@RATE" } else { "" };
         TableRow {
             path: shape.file.clone(),
             width: shape.numbers.len(),
-            layout: shape.layout.clone(),
+            layout: shape.layout.as_ref().map(|layout| format!("{layout}{rate}")),
             layout_reason: shape.layout_reason.clone(),
             columns: columns.into_iter().map(column).collect(),
         }
