@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
+use super::clock::TWO_TURNS_RAD;
 use super::{Column, Table, clock, names};
 
 /// Column of a table without column names.
@@ -87,19 +88,24 @@ impl Table {
         if column.name != UNNAMED_COLUMN || !column.parts.is_empty() {
             return;
         }
-        name.clone_into(&mut column.name);
         let (width, kind) = (column.width, column.kind.clone());
-        if width < 2 || self.times.is_some() {
-            return;
-        }
         let numbers_at = |part: usize| -> Vec<f64> { column.numbers(part).collect() };
         let is_clock = |part: &usize| {
             let own = numbers_at(*part);
             let may_be_short = *part == 0 && !COMPLETE_WIDTHS.contains(&width);
             clock::increases_like_times(&own, &kind) && (clock::exceed_joints(&own) || may_be_short)
         };
-        let Some(part) = [0, width - 1].into_iter().find(is_clock) else { return };
-        let stamps = numbers_at(part);
+        let may_have_times = width > 1 && self.times.is_none();
+        let ends = [0, width.saturating_sub(1)];
+        let time = ends.into_iter().find(|part| may_have_times && is_clock(part));
+        let stamps = time.map(|part| (part, numbers_at(part)));
+        let others = (0..width).filter(|part| Some(*part) != time);
+        let most = |part: usize| column.numbers(part).map(f64::abs).fold(0.0, f64::max);
+        if names::is_joint_positions(&names::split_words(name)) && have_no_unit(others.map(most)) {
+            return;
+        }
+        name.clone_into(&mut column.name);
+        let Some((part, stamps)) = stamps else { return };
         let rest = column.values.iter().enumerate().filter(|(at, _)| at % width != part);
         let rest = rest.map(|(_, number)| *number).collect();
         let own = Column { width: width - 1, values: rest, ..std::mem::take(column) };
@@ -110,6 +116,14 @@ impl Table {
             self.lost_rows = BTreeMap::from([(0, lost.clone()), (1, lost)]);
         }
     }
+}
+
+/// Whether joints that reach so far are neither in rad nor in degrees: some are beyond two turns in degrees, although all
+/// others are within two turns in rad.
+fn have_no_unit(most: impl Iterator<Item = f64>) -> bool {
+    let (small, large): (Vec<f64>, Vec<f64>) = most.partition(|most| *most <= TWO_TURNS_RAD);
+    let is_beyond = |most: &f64| most.to_radians() > TWO_TURNS_RAD;
+    !small.is_empty() && !large.is_empty() && large.iter().all(is_beyond)
 }
 
 #[cfg(test)]
@@ -135,6 +149,25 @@ mod tests {
             (vec!["run.csv", "forces.csv"], None),
         ] {
             assert_eq!(table_name(&paths, paths[0]).as_deref(), expected, "{paths:?}");
+        }
+    }
+
+    #[test]
+    fn numbers_beyond_joints_are_not_named_joints() {
+        let name = |row: [f64; 4]| {
+            let values = [row, row.map(|own| 0.5 * own), row].concat();
+            let columns = vec![Column::untyped(UNNAMED_COLUMN, 4, values)];
+            let mut table = Table { rows: 3, columns, ..Table::default() };
+            table.name_columns("joints");
+            table.columns[0].name.clone()
+        };
+        for (row, expected) in [
+            ([3111.3, 0.16, 0.001, -0.05], UNNAMED_COLUMN),
+            ([0.2, 0.16, 0.001, -0.05], "joints"),
+            ([90.0, 0.16, 45.0, -0.05], "joints"),
+            ([3111.0, 2048.0, 1900.0, 2100.0], "joints"),
+        ] {
+            assert_eq!(name(row), expected, "{row:?}");
         }
     }
 
