@@ -228,6 +228,19 @@ fn velocities_that_are_named_belong_to_the_proposal() {
     assert_eq!(open.log.tables[0].layout.as_deref(), Some("t,_,q[6],_,qd[6]"), "{:?}", open.error);
 }
 
+/// Any columns follow the rates of others in four rows.
+#[test]
+fn few_rows_show_no_velocities() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let number =
+        |row: usize, at: usize| ((at * at * 7919 + row * 3571 * (at + 1)) % 1009) as f64 / 1000.0;
+    let rows: Vec<Vec<f64>> =
+        (0..4).map(|row| (0..40).map(|at| number(row, at)).collect()).collect();
+    let logs = [write(folder.path(), "run.csv", &text(&rows))];
+    let refusal = audit_with(&logs, None, None).expect_err("a refusal");
+    assert!(refusal.remedy.contains("state its 40 columns"), "{refusal}");
+}
+
 #[test]
 fn columns_that_never_change_are_proposed_as_joints_at_rest() {
     let folder = tempfile::tempdir().expect("a folder");

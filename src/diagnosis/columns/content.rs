@@ -7,6 +7,9 @@ use ground::stats::{median, parabola_minimum};
 /// Between a column and another's rate.
 const MIN_RATE_CORRELATION: f64 = 0.95;
 
+/// Rows of a table in which three columns do not correlate with the rates of three others by chance.
+const MIN_RATE_ROWS: usize = 8;
+
 /// Time shift between two column groups.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupShift {
@@ -160,7 +163,11 @@ impl NumericTable {
         }
     }
 
+    /// Zero in a table with too few rows.
     fn rate_correlation(&self, column: usize, of: usize) -> f64 {
+        if self.t_s.len() < MIN_RATE_ROWS {
+            return 0.0;
+        }
         correlation(
             &normalized(self.inner_values(column).collect()),
             &normalized(self.rates(of).collect()),
@@ -225,6 +232,9 @@ impl NumericTable {
     /// Longest run of columns followed by their rates at a constant offset. It may include columns that do
     /// not move.
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
+        if self.t_s.len() < MIN_RATE_ROWS {
+            return None;
+        }
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
         let of_all = |series: &dyn Fn(usize) -> Vec<f64>| -> Vec<Vec<f64>> {

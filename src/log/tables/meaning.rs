@@ -702,7 +702,7 @@ fn are_rotations(column: &Column) -> bool {
     column.width == 9 && rotation_rows(column, 9, [0, 1, 2, 3, 4, 5, 6, 7, 8])
 }
 
-fn are_homogeneous(column: &Column) -> bool {
+pub(super) fn are_homogeneous(column: &Column) -> bool {
     const ELEMENTS: [usize; 9] = [0, 1, 2, 4, 5, 6, 8, 9, 10];
     let is_last = |row: &[f64], last: [usize; 4]| last.map(|at| row[at]) == [0.0, 0.0, 0.0, 1.0];
     let rows = || column.values.chunks_exact(16);

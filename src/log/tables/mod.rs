@@ -195,6 +195,42 @@ impl Table {
         }
     }
 
+    /// Makes one row of each homogeneous matrix if the rows are those of such matrices, side by side or below each other.
+    fn join_matrices(&mut self) {
+        const SIDE: usize = 4;
+        const BOTTOM: [f64; SIDE] = [0.0, 0.0, 0.0, 1.0];
+        let [column] = self.columns.as_mut_slice() else { return };
+        let (rows, width) = (self.rows, column.width);
+        let has_gaps = !self.text_columns.is_empty() || column.values.len() != rows * width;
+        let below = column.values.get((SIDE - 1) * width..).unwrap_or_default();
+        if column.name != file_names::UNNAMED_COLUMN
+            || has_gaps
+            || !rows.is_multiple_of(SIDE)
+            || !width.is_multiple_of(SIDE)
+            || below.first_chunk::<SIDE>() != Some(&BOTTOM)
+        {
+            return;
+        }
+        let per_row = width / SIDE;
+        let count = rows / SIDE * per_row;
+        let element = |matrix: usize, at: usize| {
+            let row = matrix / per_row * SIDE + at / SIDE;
+            column.values[row * width + matrix % per_row * SIDE + at % SIDE]
+        };
+        let elements = |matrix: usize| (0..SIDE * SIDE).map(move |at| element(matrix, at));
+        let values = (0..count).flat_map(elements).collect();
+        let kind = column.kind.clone();
+        let joined = Column { kind, ..Column::untyped(&column.name, SIDE * SIDE, values) };
+        if !meaning::are_homogeneous(&joined) {
+            return;
+        }
+        *column = joined;
+        self.rows = count;
+        self.lines.clear();
+        self.exact_times.clear();
+        self.notes.push(format!("read as {count} matrices of 4×4 numbers, each a row"));
+    }
+
     fn column_names(&self) -> Vec<String> {
         self.columns.iter().map(|column| column.name.clone()).collect()
     }
@@ -504,6 +540,7 @@ impl Tables {
         }
         if let ([(_, table)], TableFormat::Csv | TableFormat::Npy) = (episodes.as_mut_slice(), kind)
         {
+            table.join_matrices();
             if self.is_list_of_times(table) {
                 self.row_times.entry(path.to_owned()).or_default();
                 return Ok(());

@@ -1156,6 +1156,38 @@ fn homogeneous_matrices_are_poses_under_any_name() {
 }
 
 #[test]
+fn matrices_side_by_side_or_below_each_other_are_rows() {
+    const COUNT: usize = 6;
+    let line = |matrix: usize, line: usize| match line {
+        3 => "0,0,0,1".to_owned(),
+        line => {
+            let [x, y, z] = [0, 1, 2].map(|at| turn(matrix)[3 * line + at]);
+            format!("{x},{y},{z},{}", 10 * matrix + line)
+        }
+    };
+    let beside =
+        |at: usize| (0..COUNT).map(|matrix| line(matrix, at)).collect::<Vec<_>>().join(",");
+    let side_by_side: Vec<String> = (0..4).map(beside).collect();
+    let all = |matrix: usize| (0..4).map(move |at| line(matrix, at));
+    let below: Vec<String> = (0..COUNT).flat_map(all).collect();
+    for lines in [side_by_side, below] {
+        let columns = ColumnSettings { rate_hz: Some(10.0), ..ColumnSettings::default() };
+        let log = read((lines.join("\n") + "\n").as_bytes(), columns).expect("a log");
+        let (width, values) = array(&log, "array");
+        assert_eq!((width, values.len()), (16, 16 * COUNT), "{lines:?}");
+        let positions: Vec<[f64; 3]> =
+            values.chunks(16).map(|own| [own[3], own[7], own[11]]).collect();
+        assert_eq!(positions[2], [20.0, 21.0, 22.0]);
+        assert!(log.notes.iter().any(|note| note.what.contains("read as 6 matrices")));
+    }
+    // Identities are no motion, and zeros no rotations.
+    let constant = "0,0,0,1\n".repeat(4 * COUNT);
+    let columns = ColumnSettings { rate_hz: Some(10.0), ..ColumnSettings::default() };
+    let log = read(constant.as_bytes(), columns).expect("a log");
+    assert_eq!(array(&log, "array").0, 4);
+}
+
+#[test]
 fn rotation_matrices_join_the_position() {
     let row = |row: usize| {
         let t = 0.02 * row as f64;
