@@ -7,8 +7,8 @@ use super::commands::{ReferenceEvidence, references};
 use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
 use super::joint_axes::JointAxes;
 use super::joint_clock::samples_with_true_stamps;
-use super::joint_stamps::{JointStamps, joint_stamps};
-use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
+use super::joint_stamps::{JointStamps, stamps_and_velocities};
+use super::joints::{JointEvidence, change_points, joint_evidence, mending};
 use super::poses::{
     DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence, euler,
     unidentified_columns,
@@ -330,9 +330,7 @@ fn joint_evidences(
         samples.iter_mut().for_each(|joint| *joint = samples_with_true_stamps(joint, profile));
     }
     let change_points = change_points(found, arm.joint_sources.len());
-    let (stamps, at_true_times) = joint_stamps(&samples);
-    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
-    let mut velocities = velocities(at_true_times, &change_points);
+    let (stamps, mut velocities) = stamps_and_velocities(&samples, &change_points);
     if found.partial_encoding.is_some() {
         let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
         velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));

@@ -30,7 +30,7 @@ pub use commands::{ReferenceEvidence, TipPoseKind, TipPoseSource, UnmodelledComm
 pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joint_axes::{JointAxes, Tolerance};
-pub use joint_stamps::{HiddenPauses, JointStamps};
+pub use joint_stamps::{HiddenPauses, JointStamps, Resampling};
 pub use joints::{JointEvidence, JointMotion};
 pub use poses::{DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence};
 pub use samples::{OutlierEvidence, RepeatedValueEvidence, UnusableSampleEvidence};

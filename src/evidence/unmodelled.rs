@@ -2,8 +2,8 @@
 
 use super::arm::ArmEvidence;
 use super::commands::UnmodelledCommands;
-use super::joint_stamps::joint_stamps;
-use super::joints::{JointEvidence, JointMotion, position_step, velocities};
+use super::joint_stamps::stamps_and_velocities;
+use super::joints::{JointEvidence, JointMotion, position_step};
 use super::{StreamEvidence, span_or_run};
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointEncoding, JointSampleKind, VelocityDiagnosis,
@@ -54,9 +54,8 @@ fn unmodelled_arm(run: &Run, stream: usize, columns: &JointColumns) -> ArmEviden
     };
     let sources: Vec<JointSource> = columns.joints.iter().map(source).collect();
     let samples = run.joint_samples(&sources);
-    let (stamps, at_true_times) = joint_stamps(&samples);
-    let at_true_times = at_true_times.as_deref().unwrap_or(&samples);
-    let velocities = velocities(at_true_times, &vec![Vec::new(); samples.len()]);
+    let change_points = vec![Vec::new(); samples.len()];
+    let (stamps, velocities) = stamps_and_velocities(&samples, &change_points);
     let joint = |((source, samples), velocity): (
         (&JointSource, &JointSamples<'_>),
         Option<EstimateResult<VelocityDiagnosis>>,

@@ -1,7 +1,7 @@
 use crate::checks::decision::{Decision, Threshold, decide};
 use crate::checks::joint_groups::{group_equal, group_prefix, group_subject, with_joint_names};
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::{NotObservable, Response, VelocityDiagnosis, VelocityShape};
+use crate::diagnosis::{Measured, NotObservable, Response, VelocityDiagnosis, VelocityShape};
 use crate::evidence::{ArmEvidence, HiddenPauses, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::stats::median;
@@ -31,6 +31,8 @@ rule! {
     /// - `pauses`, `pause_s`: number and median length of the recorder's pauses that its stamps do not show:
     ///   the joints move between two rows as far as their velocities take them in many rows. The comparison
     ///   then uses times that include the pauses.
+    /// - If values were sampled and stamped anew (TIM008), the comparison uses the times that the velocities
+    ///   of all joints give. An error that remains without another cause is inconclusive.
     /// - `rows_per_s`, `stamped_rows_per_s`: rate of the rows by the velocities, and by the stamps. Given if the
     ///   velocities of all joints have the same unusual factor, and the stamps are an even grid.
     ///
@@ -104,6 +106,15 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
                     per_second(arm, index),
                 ))
             }
+            Decision::Fail(_)
+                if found.shape == VelocityShape::Unrelated && arm.stamps.resampling.is_some() =>
+            {
+                Outcome::Inconclusive(format!(
+                    "error {} at the times that the velocities of all joints give: the stamps are not those of \
+                     the values (TIM008)",
+                    percent(found.error.value)
+                ))
+            }
             Decision::Fail(severity) => match explained_by_correction(joint, index, &found.shape) {
                 None => {
                     faults.push((index, (found.clone(), severity)));
@@ -169,6 +180,12 @@ fn rates_of_rows(
         group.len() >= MIN_JOINTS && group.len() == arm.joints.iter().filter(is_known).count();
     (is_all && gain > 0.0 && usual_scale(arm, *joint, gain).is_none())
         .then_some([gain * stamped_hz, stamped_hz])
+}
+
+/// Whether velocities with this error are reported.
+pub(in crate::checks) fn is_error_reported(case: &Case, error: &Measured) -> bool {
+    let threshold = case.thresholds.threshold(&VEL001, THRESHOLD);
+    matches!(decide(error, &threshold, case.evidence.subjects()), Decision::Fail(_))
 }
 
 /// Least error that velocities of joints without a fault may have, rad/s or m/s; 0 without such a joint. The
@@ -428,8 +445,7 @@ fn with_numbers(judged: SubjectResult, found: &VelocityDiagnosis) -> SubjectResu
 mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, evaluate_rule, precise};
-    use crate::diagnosis::Measured;
-    use crate::evidence::RunEvidence;
+    use crate::evidence::{Resampling, RunEvidence};
     use crate::finding::Status;
 
     fn planted(shapes: &[(usize, VelocityShape)]) -> RunEvidence {
@@ -499,6 +515,20 @@ mod tests {
         let [found] = findings.as_slice() else { panic!("{findings:?}") };
         assert!(found.message.contains("move on for 44 ms between two rows, 442 times"));
         assert_eq!(found.severity, Severity::Warning);
+    }
+
+    #[test]
+    fn an_error_beside_stamps_of_other_times_is_inconclusive_and_a_scale_is_not() {
+        for (shape, status) in [
+            (VelocityShape::Unrelated, Status::Inconclusive),
+            (VelocityShape::Scaled(2.0), Status::Fail),
+        ] {
+            let mut run = planted(&[(1, shape)]);
+            run.robots[0].stamps.resampling = Some(Resampling::default());
+            let (rows, _) = evaluate_rule(&VEL001, &run);
+            let own = rows.iter().find(|row| row.subject.joint.as_deref() == Some("lift")).unwrap();
+            assert_eq!(own.status, status, "{own:?}");
+        }
     }
 
     #[test]
