@@ -33,7 +33,8 @@ rule! {
     ///   controllers measure J3 from the horizon, so a model that measures it from the upper arm needs J2
     ///   added. In some wrists, one joint's gear rotates the next joint by a few percent.
     /// - `turns`: of a joint off by a quarter, half or whole turn. Only the model's limits, exceeded
-    ///   throughout the run, show a whole turn; the poses show the others.
+    ///   throughout the run, show a whole turn, if the unit of the positions is known; the poses show the
+    ///   others.
     /// - `changes`: times and scales of changes. The value is then the size of the change (`from`, `to`,
     ///   `change_ns`).
     ///

@@ -25,10 +25,12 @@ enum TurnEvidence {
     InLimits,
 }
 
-/// A joint beyond its limits throughout the run, but within them if shifted by whole turns.
+/// A joint beyond its limits throughout the run, but within them if shifted by whole turns. In an unknown unit, positions are
+/// not comparable with limits.
 fn judge_whole_turns(arm: &ArmEvidence, joint: usize) -> Option<SubjectResult> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
-    if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen) {
+    let has_zero_offset = arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen);
+    if has_zero_offset || arm.is_unit_undetermined() {
         return None;
     }
     let offset = Measured { value: -TAU * turns, std_error: 0.0, dof: 1.0 };
@@ -111,6 +113,7 @@ mod tests {
 
     use crate::checks::joints::{ord009_joint_scale::ORD009, zer001_joint_zero::ZER001};
     use crate::checks::testing::{clean_run, evaluate_rule, precise};
+    use crate::diagnosis::NotObservable;
     use crate::finding::Estimate;
 
     #[test]
@@ -143,5 +146,9 @@ mod tests {
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert!(finding.message.starts_with("one turn too many"), "{}", finding.message);
         assert_eq!(finding.fix, "q_true = q_reported - 6.28319 rad, or re-home the joint");
+        // The numbers may be ticks.
+        run.robots[0].is_in_degrees_by_magnitude = true;
+        run.robots[0].diagnosis.encoding = Err(NotObservable::AtRest);
+        assert!(evaluate_rule(&ORD009, &run).1.is_empty());
     }
 }
