@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use poseaudit::finding::{Finding, Status};
+use poseaudit::finding::{Finding, Severity, Status};
 use poseaudit::geometry::{
     Convention, Pose, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
 };
@@ -275,6 +275,25 @@ fn a_constant_pose_next_to_the_tool_pose_is_an_offset() {
     let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     assert_eq!(fault_codes(&report), [""; 0], "{:?}", report.findings);
     assert!(report.findings.iter().any(|found| found.code == "META002"), "{:?}", report.findings);
+}
+
+#[test]
+fn joint_positions_that_are_always_zero_were_never_set() {
+    let rows: Vec<Vec<f64>> =
+        (0..400).map(|row| [vec![row as f64 * STEP_S], vec![0.0; JOINTS + 1]].concat()).collect();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    // The limits of the Franka's joint 4 exclude 0.
+    for (robot, joints, severity) in
+        [("franka_fer", JOINTS + 1, Severity::Warning), ("ur5e", JOINTS, Severity::Info)]
+    {
+        let names: Vec<String> = (1..=joints).map(|joint| format!("q{joint}")).collect();
+        write_columns(&path, &format!("time,{}", names.join(",")), &rows, 1..joints + 1);
+        let report = audit_table(&path, Some(robot), ColumnSettings::default()).expect("a report");
+        let [found] = report.findings.as_slice() else { panic!("{:?}", report.findings) };
+        assert!(found.code == "FRM007" && found.severity == severity, "{found:?}");
+        assert!(found.message.contains("exactly 0 in all 400 samples"), "{}", found.message);
+    }
 }
 
 #[test]

@@ -110,6 +110,7 @@ impl RunEvidence {
             .iter()
             .zip(&diagnoses)
             .flat_map(|(arm, found)| topics::unset(run, arm, &found.arm));
+        let never_set = never_set.chain(topics::joints_never_set(run));
         let unset: Vec<NotAudited> = never_set.chain(topics::in_other_frames(run)).collect();
         let arms = diagnoses.into_iter().enumerate();
         let unmodelled_commands = commands::unmodelled_commands(run, max_lag_s);

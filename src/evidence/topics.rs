@@ -7,7 +7,8 @@ use crate::log::Repeat;
 use crate::robot::RobotError;
 
 use crate::run::{
-    Arm, NotAudited, NotAuditedReason, PoseSourceKind, Role, Run, Stream, TfProblem, TopicSettings,
+    Arm, JointSource, NotAudited, NotAuditedReason, PoseSourceKind, Role, Run, Stream, TfProblem,
+    TopicSettings,
 };
 use crate::stream::{Columns, JointColumn};
 
@@ -103,6 +104,35 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudite
     });
     let why = NotAuditedReason::NoOrientation;
     unset.map(|(source, _)| NotAudited { stream: source.stream, reason: why.clone() }).collect()
+}
+
+/// Joint states of arms in which every position is exactly 0, as no encoder measures.
+pub(super) fn joints_never_set(run: &Run) -> Vec<NotAudited> {
+    let never_set = |arm: &Arm| {
+        let first = arm.joint_sources.first()?;
+        let positions = |source: &JointSource| match &run.streams[source.stream].columns {
+            Some(Columns::Joints(columns)) => {
+                let own = columns.joints.iter().find(|joint| joint.name == source.name);
+                own.map(|joint| joint.position.as_slice())
+            }
+            _ => None,
+        };
+        let is_zero = |source: &JointSource| {
+            positions(source).is_some_and(|own| own.iter().all(|position| *position == 0.0))
+        };
+        let samples = positions(first)?.len();
+        let excludes_zero = |name: &&String| {
+            let limits = arm.robot.joint(name).map(|joint| joint.limits).unwrap_or_default();
+            limits.lower.is_some_and(|lower| lower > 0.0)
+                || limits.upper.is_some_and(|upper| upper < 0.0)
+        };
+        let impossible = arm.joint_names.iter().find(excludes_zero).cloned();
+        (samples > 0 && arm.joint_sources.iter().all(is_zero)).then(|| NotAudited {
+            stream: first.stream,
+            reason: NotAuditedReason::NeverSet { samples, impossible },
+        })
+    };
+    run.arms.iter().filter(|arm| arm.trajectory.is_none()).filter_map(never_set).collect()
 }
 
 /// Topics with further poses in frames not connected to the arm.

@@ -19,6 +19,13 @@ pub enum NotAuditedReason {
     },
     /// Orientations were never set; positions are audited.
     NoOrientation,
+    /// Joint states in which every position is 0.
+    NeverSet {
+        /// Number of samples.
+        samples: usize,
+        /// A joint whose limits exclude 0.
+        impossible: Option<String>,
+    },
     /// Poses of the same body in frames not tied to the arm.
     OtherFrames {
         /// The frames, in the order of the log.

@@ -4,6 +4,7 @@ use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{LimitViolation, NotObservable};
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
+use crate::run::NotAuditedReason;
 
 rule! {
     /// A joint exceeds its position or speed limits.
@@ -140,6 +141,9 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
             "its positions exceed the limits, but its zero is off (ZER001, ORD009)".to_owned();
         return judged(Outcome::Inconclusive(why));
     }
+    if position.is_some() && is_never_set(case, arm) {
+        return judged(Outcome::Inconclusive("all joint positions are 0 (FRM007)".to_owned()));
+    }
     let top_speed = limits.velocity.unwrap_or(0.0);
     let slight_from =
         if motion.is_endless { MAX_ENDLESS_SPEED_EXCESS / MAX_SLIGHT_EXCESS } else { 1.0 };
@@ -181,6 +185,14 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         judged = judged.with_evidence(exceeded.what, evidence(case, exceeded.excess));
     }
     judged
+}
+
+fn is_never_set(case: &Case, arm: &ArmEvidence) -> bool {
+    let mut streams = case.evidence.not_audited.iter();
+    streams.any(|stream| {
+        stream.topic() == arm.joints_topic
+            && stream.iter().any(|why| matches!(why, NotAuditedReason::NeverSet { .. }))
+    })
 }
 
 /// Whether the zero offset is too large to compare positions with limits.

@@ -14,6 +14,7 @@ rule! {
     ///
     /// - `own-frame`: its `frame_id` is the tool's frame, in which the tool cannot move.
     /// - `no-orientation`: its orientations were never set.
+    /// - `never-set`: all joint positions are exactly 0 throughout. It is `info` if the joints' limits allow it.
     /// - `never-changes`: its pose is constant while the joints move the tool.
     /// - `scene-objects`: it rests while the joints move the tool, and moves with the tool otherwise, if at all. It is the
     ///   pose of an object (info).
@@ -35,7 +36,7 @@ rule! {
     ///
     /// ## Evidence
     /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),
-    /// the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the arm
+    /// a joint that cannot be at 0 (`impossible`), the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the arm
     /// by name (`named`) and by motion (`arm`), the `correlation` of its speed with the tool's, the
     /// `frames`, the `bodies`, `missing` kinematics, or the `joints`.
     ///
@@ -70,6 +71,7 @@ fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<SubjectResult> {
         let NotAuditedReport { why: name, title, message, fix, evidence } = report(why);
         let severity = match why {
             NotAuditedReason::SceneObjects { .. }
+            | NotAuditedReason::NeverSet { impossible: None, .. }
             | NotAuditedReason::DoesNotFollow { is_named: false, .. } => Severity::Info,
             NotAuditedReason::OtherArm { .. } => Severity::Error,
             _ => Severity::Warning,
@@ -120,6 +122,19 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                     .to_owned(),
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
+        },
+        NotAuditedReason::NeverSet { samples, impossible } => NotAuditedReport {
+            why: "never-set",
+            title: "joint positions are always zero",
+            message: {
+                let cause = match impossible {
+                    Some(joint) => format!(", which the limits of {joint} exclude: they were never set"),
+                    None => ": they were never set, or a simulated arm rests".to_owned(),
+                };
+                format!("all joint positions are exactly 0 in all {samples} samples{cause}")
+            },
+            fix: "check that the driver is connected to the arm, and record while the joints move".to_owned(),
+            evidence: vec![("samples", json!(samples)), ("impossible", json!(impossible))],
         },
         NotAuditedReason::OtherFrames { frames, samples, of } => NotAuditedReport {
             why: "other-frames",
