@@ -170,6 +170,33 @@ fn a_table_without_stamps_is_calibrated_in_any_unit_and_convention() {
     assert!(before > 5e-4 && after < 3e-5, "{before} {after}");
 }
 
+#[test]
+fn poses_that_a_controller_computes_by_the_nominal_model_are_accepted_as_its_own() {
+    let folder = TempDir::new().expect("a folder");
+    let robot = catalogue::find("ur10").expect("it is in the catalogue");
+    let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
+    let chain = robot.chain(base, tip).expect("a chain");
+    let record = |row: usize| {
+        let q: Vec<f64> = (0..6)
+            .map(|joint| [0.0, -1.2, 1.3, -1.0, -1.5, 0.3][joint] + 0.15 * noise(6 * row + joint))
+            .collect();
+        let pose = chain.forward(&q);
+        let [x, y, z] = [0, 1, 2].map(|axis| pose.translation.vector[axis]);
+        let [rx, ry, rz] = Convention::RotVec.numbers(&pose.rotation);
+        format!(r#"{{"joints": {q:?}, "actual_TCP_pose": {:?}}}"#, [x, y, z, rx, ry, rz])
+    };
+    let records: Vec<String> = (0..12).map(record).collect();
+    let (log, out) = (path(&folder, "rows.json"), path(&folder, "calibrated"));
+    fs::write(&log, format!("[{}]", records.join(",\n"))).expect("a file");
+    let arm = ["--robot", "ur10", "--base", "base", "--tip", "tool0"];
+    let given = ["calibrate", &log, "--columns", "q[6],xyz,rot[3]", "--out", &out];
+    let output = poseaudit(&[&given[..], &arm[..], &["--format", "json"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let report = json(&output);
+    assert_eq!((&report["equals_model"], &report["refused"]), (&true.into(), &Value::Null));
+    assert_eq!(report["witness"], "controller");
+}
+
 /// As records of JSON, and as text in another encoding than UTF-8.
 #[test]
 fn tables_of_configurations_are_read_in_other_formats() {

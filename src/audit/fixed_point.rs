@@ -146,7 +146,7 @@ fn configurations_in_log(path: &Path, options: &Options) -> Result<Configuration
         );
         return Err(trouble(path, what, "let the arm rest for 1 s in each configuration"));
     }
-    let table = NumberTable { names: Vec::new(), rows, dropped: Vec::new() };
+    let table = NumberTable { rows, ..NumberTable::default() };
     let columns: Vec<usize> = (0..arm.chain.dof()).collect();
     Ok(Configurations {
         robot: arm.robot.clone(),
@@ -173,7 +173,8 @@ fn joint_table(topic: &Topic) -> Option<NumberTable> {
     };
     let is_finite = |row: &Vec<f64>| row.iter().all(|value| value.is_finite());
     let dropped = (1..).zip(&rows).filter(|(_, row)| !is_finite(row)).map(|(at, _)| at).collect();
-    Some(NumberTable { names, rows: rows.into_iter().filter(is_finite).collect(), dropped })
+    let rows = rows.into_iter().filter(is_finite).collect();
+    Some(NumberTable { names, rows, dropped, pose_name: None })
 }
 
 /// Mean configurations at rest, each different from the one before.

@@ -13,7 +13,7 @@ use crate::log::{
 };
 use crate::report::Trouble;
 use crate::robot::{Chain, LinkId, Robot};
-use crate::run::RunOptions;
+use crate::run::{PoseSourceKind, RunOptions, source_of_column};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Tables have no times: rows are 1 s apart, with the arm at rest for half of it.
@@ -101,6 +101,10 @@ impl ConfigurationTable {
             .map(|kind| *kind == crate::robot::JointKind::Prismatic)
             .collect();
         let joints = unzeroed.corrected_joints(&track, &slides);
+        let source_kind = match table.pose_name().map(source_of_column) {
+            Some(PoseSourceKind::Controller) => PoseSourceKind::Controller,
+            _ => PoseSourceKind::External,
+        };
         let mut inputs: Vec<CalibrationInput> = Vec::with_capacity(poses.len());
         for (point, diagnosis) in found.streams.iter().enumerate() {
             let why_not = match diagnosis.residual.is_err() {
@@ -116,7 +120,7 @@ impl ConfigurationTable {
             };
             let joints = (joints.clone(), columns.clone());
             let mut input = CalibrationInput::new(path, topic, &chain, joints, diagnosis);
-            input.measurement = measurement;
+            (input.measurement, input.source_kind) = (measurement, source_kind);
             // All points are measured in one frame.
             input.reference = inputs.first().map_or(input.reference, |first| first.reference);
             inputs.push(input);

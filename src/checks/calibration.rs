@@ -5,7 +5,8 @@ use crate::diagnosis::{ArmCalibration, StreamCalibration};
 use crate::finding::Severity;
 use crate::robot::{JointKind, Robot};
 
-/// Minimum ratio of the expected FK error, nominal to calibrated.
+/// Minimum ratio of the expected FK error, nominal to calibrated, or of the usual link deviations to those of an arm that
+/// equals its model.
 const MIN_IMPROVEMENT_RATIO: f64 = 2.0;
 /// Maximum ratio of the cross-validated residual to the nominal one.
 const MAX_CROSS_VALIDATION_RATIO: f64 = 0.9;
@@ -70,7 +71,11 @@ pub(crate) fn rejection_reason(
 ) -> Option<String> {
     let (known, nominal) =
         (calibration.calibrated_uncertainty.m, calibration.nominal_uncertainty.m);
-    if known.is_nan() || nominal == 0.0 || known * MIN_IMPROVEMENT_RATIO > nominal {
+    // Its nominal FK is as certain as a calibrated one.
+    let is_nominal =
+        calibration.excluded_ratio() >= MIN_IMPROVEMENT_RATIO && equals_nominal(calibration);
+    if known.is_nan() || nominal == 0.0 || (known * MIN_IMPROVEMENT_RATIO > nominal && !is_nominal)
+    {
         let moved = match unmoved {
             [] => String::new(),
             unmoved => {
@@ -110,7 +115,7 @@ pub(crate) fn equals_nominal(calibration: &ArmCalibration) -> bool {
 
 /// Reason why a stream contradicts the calibration.
 pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<String> {
-    let noise_m = MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0];
+    let noise_m = (MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0]).max(MIN_DEVIATION);
     if stream.after.m > stream.before.m.max(noise_m) {
         return Some(format!(
             "calibrated residual of {:.3} mm rms exceeds the nominal residual of {:.3} mm",
@@ -174,6 +179,7 @@ mod tests {
             links: Vec::new(),
             deviations: Vec::new(),
             link_m: 3e-4,
+            max_link_m: 4e-4,
             remaining_step: None,
             parameters: Vec::new(),
             zeros: Vec::new(),
@@ -226,6 +232,17 @@ mod tests {
         assert!(!with_held_out(&[1e-5, -2e-5, 3e-5, 0.0], 1e-5, [1e-3, 2e-5]));
         // A log without noise.
         assert!(with(&[1e-9, -2e-9], 1e-12));
+    }
+
+    #[test]
+    fn an_arm_that_equals_its_model_is_accepted_if_usual_deviations_are_excluded() {
+        let refused = |max_link_m: f64, held_out: [f64; 2]| {
+            let equal = calibration_with(7e-4, [1e-9, 2e-9], held_out);
+            rejection_reason(&ArmCalibration { max_link_m, ..equal }, &[]).is_some()
+        };
+        assert!(!refused(2e-5, [1e-9, 2e-9]));
+        assert!(refused(4e-4, [1e-9, 2e-9]), "too few poses");
+        assert!(refused(2e-5, [1e-3, 2e-5]), "it deviates");
     }
 
     #[test]

@@ -8,8 +8,8 @@ use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
 use super::tables::{
-    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, rows_of_lists,
-    rows_of_numbers, to_utf8,
+    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, names_and_rows,
+    rows_of_lists, to_utf8,
 };
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
@@ -21,7 +21,7 @@ const MAX_BYTES: u64 = 1 << 26;
 const MAX_ROWS: usize = 100_000;
 
 /// Table of numeric rows.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct NumberTable {
     /// Column names; empty if the first line has numbers.
     pub names: Vec<String>,
@@ -29,6 +29,8 @@ pub struct NumberTable {
     pub rows: Vec<Vec<f64>>,
     /// Line numbers of rows with non-finite cells or another number of columns.
     pub dropped: Vec<usize>,
+    /// Name of the position of the tool in the file, which a layout replaces in `names`.
+    pub pose_name: Option<String>,
 }
 
 /// Table of joint positions and measured poses, with named columns.
@@ -40,6 +42,14 @@ pub struct CalibrationTable {
     pub positions: Vec<[usize; 3]>,
     /// Rotation columns, if any.
     pub rotation: RotationColumns,
+}
+
+impl CalibrationTable {
+    /// Name of the first position in the file.
+    pub fn pose_name(&self) -> Option<&str> {
+        let named = || Some(self.numbers.names.get(self.positions.first()?[0])?.as_str());
+        self.numbers.pose_name.as_deref().or_else(named)
+    }
 }
 
 /// Columns of a rotation.
@@ -150,6 +160,7 @@ pub fn read_calibration_tables(
         joints.names = (1..=joints.width()).map(|joint| format!("q{joint}")).collect();
     }
     joints.names.extend(poses.names);
+    joints.pose_name = poses.pose_name;
     joints.rows.iter_mut().zip(poses.rows).for_each(|(row, pose)| row.extend(pose));
     Ok(by_names(joints))
 }
@@ -162,14 +173,16 @@ fn read_named_numbers(
     let Some(bytes) = read_bytes(path)? else { return Ok(None) };
     let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
     let of_table = |format: TableFormat| {
-        let rows = rows_of_numbers(format, path, &bytes)?;
+        let (names, rows) = names_and_rows(format, path, &bytes)?;
         let is_finite = |row: &Vec<f64>| row.iter().all(|number| number.is_finite());
         let (rows, dropped): (Vec<_>, Vec<_>) =
             (1..).zip(rows).partition(|(_, row): &(usize, Vec<f64>)| is_finite(row));
         Some(NumberTable {
-            names: Vec::new(),
+            // Those of an array state nothing.
+            names: if layout.is_some() { names } else { Vec::new() },
             rows: rows.into_iter().map(|(_, row)| row).collect(),
             dropped: dropped.into_iter().map(|(at, _)| at).collect(),
+            pose_name: None,
         })
     };
     let numbers = match file_format::detect_format(&bytes) {
@@ -245,6 +258,7 @@ fn named_by_layout(mut numbers: NumberTable, layout: &RowLayout) -> Result<Numbe
             return Err("`calibrate` needs rotations in --columns as three numbers, `quat:xyzw` or `quat:wxyz`".to_owned());
         }
     };
+    numbers.pose_name = position.first().and_then(|&at| numbers.names.get(at).cloned());
     let joint_unit = group.joint_unit.map_or(1.0, AngleUnit::in_rad);
     let length = group.units.length.map_or(1.0, LengthScale::in_m);
     for row in &mut numbers.rows {
@@ -321,7 +335,7 @@ fn parse_numbers(bytes: &[u8], layout: Option<&RowLayout>) -> Option<NumberTable
     };
     // Several spaces between columns are empty cells.
     let is_cell = |text: &&str| delimiter != b' ' || !text.is_empty();
-    let mut table = NumberTable { names: Vec::new(), rows: Vec::new(), dropped: Vec::new() };
+    let mut table = NumberTable::default();
     let mut width = None;
     for (at, record) in reader.records().take(MAX_ROWS).enumerate() {
         let Ok(record) = record else {
@@ -488,7 +502,9 @@ mod tests {
             let numbers = parse_numbers(text, Some(&layout))?;
             by_layout(numbers, &layout).unwrap()
         };
-        let rows = read("_,q[2],_,xyz:mm").unwrap().numbers.rows;
+        let table = read("_,q[2],_,xyz:mm").unwrap();
+        assert_eq!(table.pose_name(), Some("X"));
+        let rows = table.numbers.rows;
         assert_eq!(
             rows,
             [[7.0, 1.5, 2.0, 0.0, 1e-3, 2e-3, 3e-3], [7.0, 2.0, 2.5, 0.0, 4e-3, 5e-3, 6e-3]]

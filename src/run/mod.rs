@@ -92,6 +92,7 @@ pub use sample_filter::SampleFilter;
 pub use segments::{Cut, Segment, segments};
 pub use shared_stream::{CandidateArm, SharedStream};
 pub use source_kind::PoseSourceKind;
+pub(crate) use source_kind::source_of_column;
 pub use sources::MovingBase;
 pub use sources::{ImuSource, PoseSource};
 pub use streams::Stream;

@@ -110,6 +110,19 @@ pub(super) fn classify_source(names: &PoseNames<'_>) -> (PoseSourceKind, String)
     }
 }
 
+/// Source of the poses in a column of this name, which has neither a message type nor frames.
+pub(crate) fn source_of_column(name: &str) -> PoseSourceKind {
+    let names = PoseNames {
+        topic: name,
+        type_name: "",
+        frame_id: "",
+        child_frame_id: "",
+        frame: FrameKind::Unnamed,
+        stamps_copied: false,
+    };
+    classify_source(&names).0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -143,6 +156,19 @@ mod tests {
             ("/hand_pose", POSE, ("", Unnamed), Nobody),
         ] {
             assert_eq!(witness(topic, type_name, frame), expected, "{topic} in {frame:?}");
+        }
+    }
+
+    #[test]
+    fn names_of_columns_indicate_the_source() {
+        use PoseSourceKind::{Controller, External, Unknown as Nobody};
+        for (name, expected) in [
+            ("O_T_EE[12]", Controller),
+            ("actual_TCP_pose[0]", Controller),
+            ("leica_x", External),
+            ("x", Nobody),
+        ] {
+            assert_eq!(source_of_column(name), expected, "{name}");
         }
     }
 

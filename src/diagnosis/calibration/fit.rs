@@ -55,10 +55,10 @@ pub fn calibrate_arm(
     let mut linearized = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
     let before = system.nominal_residuals(&linearized, &state);
     let distances_before = system.distances_m(&state);
-    let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
+    let ([mut link_m, mut max_link_m], mut unsettled) = ([DEVIATION_GRID_M.0; 2], None);
     for round in 0..MAX_ITERATIONS {
         let normal = system.normal(&linearized, &state);
-        link_m = system.best_link_m(&normal, &state);
+        [link_m, max_link_m] = system.link_sizes_m(&normal, &state);
         let (step, cholesky) =
             system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
         let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
@@ -121,6 +121,7 @@ pub fn calibrate_arm(
         links: path.links.clone(),
         deviations: parameters.deviations(state.values.as_slice()),
         link_m,
+        max_link_m,
         remaining_step: unsettled,
         undetermined: undetermined_directions(&normal.matrix, parameters, link_m, &workspace),
         calibrated_uncertainty: workspace.uncertainty(&shared_covariance),

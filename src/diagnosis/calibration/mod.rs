@@ -18,6 +18,7 @@ pub(crate) mod workspace;
 pub use self::fit::calibrate_arm;
 pub use self::fixed_point::FixedPoint;
 use crate::Measured;
+use crate::priors::LINK_PRIOR_M;
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
@@ -169,6 +170,8 @@ pub struct ArmCalibration {
     pub deviations: Vec<[f64; 6]>,
     /// Standard deviation of the deviations, m (and 0.1° per mm).
     pub link_m: f64,
+    /// Largest one that the logs do not exclude at 95 %, m.
+    pub max_link_m: f64,
     /// Estimated link parameters.
     pub parameters: Vec<LinkParameter>,
     /// Chain joints with free zero; values follow the links'.
@@ -207,6 +210,11 @@ pub enum CalibrationFailure {
 }
 
 impl ArmCalibration {
+    /// Ratio of usual link deviations to the largest that the logs do not exclude.
+    pub fn excluded_ratio(&self) -> f64 {
+        LINK_PRIOR_M / self.max_link_m
+    }
+
     /// Value with standard error.
     pub fn value(&self, index: usize) -> Measured {
         let std_error = self.covariance[(index, index)].max(0.0).sqrt();

@@ -292,7 +292,10 @@ impl CalibrationSystem<'_> {
         Some((cholesky.solve(&right), cholesky))
     }
 
-    pub fn best_link_m(&self, normal: &Normal, state: &CalibrationState) -> f64 {
+    /// The likeliest standard deviation of the link deviations, and the largest that is not much less likely.
+    pub fn link_sizes_m(&self, normal: &Normal, state: &CalibrationState) -> [f64; 2] {
+        /// Twice the logarithm of a likelihood ratio: 95 % of χ² with one degree of freedom.
+        const MAX_LOG_RATIO: f64 = 3.84;
         let (min_m, max_m, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
@@ -303,10 +306,14 @@ impl CalibrationSystem<'_> {
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
         let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
-        let tried = tried
+        let tried: Vec<(f64, f64)> = tried
             .take_while(|link_m| *link_m < 4.0 * max_m)
-            .map(|link_m| (link_m, evidence(link_m)));
-        tried.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(min_m, |best| best.0)
+            .map(|link_m| (link_m, evidence(link_m)))
+            .collect();
+        let best = tried.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
+        let (best_m, highest) = best.unwrap_or((min_m, 0.0));
+        let likely = tried.iter().filter(|(_, evidence)| highest - evidence <= MAX_LOG_RATIO);
+        [best_m, likely.fold(best_m, |largest_m, (link_m, _)| largest_m.max(*link_m))]
     }
 
     pub fn advance(&self, state: &mut CalibrationState, step: &DVector<f64>) {

@@ -6,13 +6,13 @@ use super::{ReadContext, Table, TableFormat, matlab, npy, records, xlsx};
 use crate::losses::Losses;
 use crate::memory_budget::MemoryBudget;
 
-/// Rows of the numbers in the only table of the file at `path`, in the order of its columns; text is 0. `None` for other
-/// formats, several tables, and damaged files.
-pub(crate) fn rows_of_numbers(
+/// Names and rows of the numbers in the only table of the file at `path`, in the order of its columns; text is 0. `None` for
+/// other formats, several tables, and damaged files.
+pub(crate) fn names_and_rows(
     format: TableFormat,
     path: &Path,
     bytes: &[u8],
-) -> Option<Vec<Vec<f64>>> {
+) -> Option<(Vec<String>, Vec<Vec<f64>>)> {
     let mut memory = MemoryBudget::new(None);
     memory.add_file(bytes.len() as u64);
     let mut losses = Losses::new(path);
@@ -28,18 +28,21 @@ pub(crate) fn rows_of_numbers(
     };
     let tables = tables.ok().filter(|_| losses.is_empty())?;
     match tables.as_slice() {
-        [(_, table)] if table.losses.is_empty() => Some(table.rows_of_numbers()),
+        [(_, table)] if table.losses.is_empty() => Some(table.names_and_rows()),
         _ => None,
     }
 }
 
 impl Table {
-    fn rows_of_numbers(&self) -> Vec<Vec<f64>> {
+    fn names_and_rows(&self) -> (Vec<String>, Vec<Vec<f64>>) {
         let cells = self.row_cells();
+        let name = |cell: &Option<(usize, usize)>| {
+            cell.map_or_else(String::new, |cell| self.cell_name(cell))
+        };
         let row = |row: usize| {
             let numbers = cells.iter().map(|cell| cell.map_or(0.0, |cell| self.number(row, cell)));
             numbers.collect()
         };
-        (0..self.rows).map(row).collect()
+        (cells.iter().map(name).collect(), (0..self.rows).map(row).collect())
     }
 }

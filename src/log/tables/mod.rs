@@ -61,7 +61,7 @@ pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Me
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
 use self::clock::ClockError;
-pub(crate) use self::configurations::rows_of_numbers;
+pub(crate) use self::configurations::names_and_rows;
 pub(super) use self::csv::{
     column_names, delimiter_of_numbers, is_header_alone, is_list_of_numbers, is_list_of_pairs,
     is_table, is_table_of_text,

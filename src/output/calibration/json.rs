@@ -89,6 +89,7 @@ impl CalibrationResult {
             "of": self.subject(),
             "joints": joints,
             "link_m": found.link_m,
+            "max_link_m": found.max_link_m,
             "links": links,
             "parameters": parameters,
             "covariance": covariance,

@@ -105,9 +105,11 @@ impl CalibrationResult {
         }
         let _ = writeln!(
             text,
-            "\nlinks deviate from the nominal model by {:.3} mm and {:.4}° per axis (standard deviation)",
+            "\nlinks deviate from the nominal model by {:.3} mm and {:.4}° per axis (standard deviation, at most \
+             {:.3} mm)",
             1e3 * found.link_m,
-            (0.1 / 1e-3) * found.link_m
+            (0.1 / 1e-3) * found.link_m,
+            1e3 * found.max_link_m
         );
         let _ = writeln!(
             text,
