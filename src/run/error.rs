@@ -282,10 +282,16 @@ impl RunError {
             Self::NoModel { .. } => {
                 "pass --robot FILE with the arm's URDF, or --robot NAME from the catalogue, such as ur5e"
             }
+            Self::Numbered { arms, .. } if arms.is_empty() => {
+                "pass --robot FILE with the arm's URDF or DH table, or --robot NAME if the catalogue has it \
+                 (`poseaudit robots`)"
+            }
             Self::Ambiguous { .. }
             | Self::Undistinguished { .. }
             | Self::Numbered { .. }
-            | Self::SameMotion { .. } => "pass --robot NAME with the correct one",
+            | Self::SameMotion { .. } => {
+                "pass --robot NAME with the correct one, or --robot FILE with another arm's URDF or DH table"
+            }
             Self::TimeOrigins { .. } => {
                 "write the same clock into all files, or audit them separately"
             }
@@ -353,5 +359,27 @@ fn did_you_mean(nearest: &[String]) -> String {
     match nearest {
         [] => String::new(),
         names => format!(" (did you mean '{}'?)", names.join("' or '")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_file_is_asked_for_if_no_catalogue_arm_fits() {
+        let remedy = |arms: &[&str], best: Option<&str>| {
+            let error = RunError::Numbered {
+                joints: 7,
+                arms: arms.iter().map(|&arm| arm.to_owned()).collect(),
+                best: best.map(str::to_owned),
+                is_at_rest: false,
+            };
+            error.remedy()
+        };
+        for best in [None, Some("iiwa7, 41.2 mm")] {
+            assert!(remedy(&[], best).starts_with("pass --robot FILE"), "{best:?}");
+        }
+        assert!(remedy(&["ur3e", "ur5e"], None).starts_with("pass --robot NAME"));
     }
 }
