@@ -248,6 +248,23 @@ fn a_log_with_one_moving_joint_gives_no_calibration() {
 }
 
 #[test]
+fn a_table_of_poses_is_asked_for_its_joints() {
+    let folder = TempDir::new().expect("a folder");
+    let (log, out) = (path(&folder, "poses.json"), path(&folder, "out"));
+    let record = |row: usize| {
+        let pose: Vec<f64> = (0..6).map(|part| noise(6 * row + part)).collect();
+        format!(r#"{{"pose": {pose:?}}}"#)
+    };
+    let records: Vec<String> = (0..20).map(record).collect();
+    fs::write(&log, format!("[{}]", records.join(",\n"))).expect("a file");
+    let output = calibrate_table(&log, &out);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(3), "{stderr}");
+    assert!(stderr.contains("--columns 'q[6]:deg,xyz:mm'"), "{stderr}");
+    assert!(!stderr.contains("use `poseaudit calibrate`"), "{stderr}");
+}
+
+#[test]
 fn a_table_needs_a_model_and_no_input_is_overwritten() {
     let folder = TempDir::new().expect("a folder");
     let log = path(&folder, "postures.csv");

@@ -194,6 +194,26 @@ fn a_listing_shows_the_columns_of_a_table_without_times() {
     assert_eq!(listed.error.map(|trouble| trouble.remedy), Some(refusal.remedy));
 }
 
+#[test]
+fn a_table_of_poses_or_of_configurations_is_not_only_asked_for_its_rate() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let all = CLEAN.rows();
+    let refusal = |names: &str, columns: std::ops::Range<usize>, stride: usize| {
+        let rows = (0..60).map(|row| all[row * stride % all.len()][columns.clone()].to_vec());
+        let content = names.to_owned() + &text(&rows.collect::<Vec<_>>());
+        let logs = [write(folder.path(), "run.csv", &content)];
+        audit_with(&logs, None, None).expect_err("a refusal")
+    };
+    for (names, layout) in [("x,y,z,qx,qy,qz,qw\n", "x,y,z,qx,qy,qz,qw"), ("", "xyz,rot[4]")] {
+        let poses = refusal(names, 7..14, 20);
+        let asks = format!("({layout}), without joint positions");
+        assert!(poses.what.contains(&asks), "{poses}");
+        assert!(poses.remedy.contains(&format!("--columns '{layout}@RATE'")), "{poses}");
+    }
+    let at_rest = refusal("q1,q2,q3,q4,q5,q6\n", 1..7, 787);
+    assert!(at_rest.remedy.contains("seem to be configurations at rest"), "{at_rest}");
+}
+
 /// No layout states the order of joints that are named by parts of the arm.
 #[test]
 fn named_joints_without_times_lack_only_the_rate() {

@@ -7,7 +7,7 @@ use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble
 use super::fixed_point::{
     self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
-use super::tables::{read_table, read_tables};
+use super::tables::{read_table, read_tables, read_trouble};
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
 };
@@ -343,7 +343,8 @@ fn inputs_from_log(
     options: &Options,
     topic: Option<&str>,
 ) -> Result<LogInputs, Trouble> {
-    let log = log::open(&[path.to_path_buf()], &options.read)?;
+    let log = log::open(&[path.to_path_buf()], &options.read)
+        .map_err(|error| read_trouble(error, &[path], options))?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     let evidence = RunEvidence::collect(&mut run, &ReadLosses::default(), &options.run);
     if let Some(error) = &run.no_arm {

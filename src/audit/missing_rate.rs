@@ -5,7 +5,8 @@ use crate::log::{
     self, Container, FileLayout, LayoutItem, Log, LogError, Meaning, RowLayout, SourceName,
 };
 use crate::report::Trouble;
-use crate::run::identify_columns;
+use crate::run::{identify_columns, may_be_poses};
+use crate::stats::mean;
 use crate::stream::{Columns, JointColumns};
 
 /// Makes the stamps with which columns are identified.
@@ -15,7 +16,7 @@ const ASSUMED_RATE_HZ: f64 = 50.0;
 ///
 /// # Errors
 /// If it cannot be read. If the rows of a table have no times, the error states its columns, and the rate that recorded
-/// velocities imply.
+/// velocities imply, or that it has no joint positions.
 pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
     log::open(&options.logs, &options.read).map_err(|error| with_columns(error, options))
 }
@@ -41,19 +42,11 @@ pub(crate) fn open_listing(options: &Options) -> Result<(Log, Option<Trouble>), 
 /// States the columns of a table without times.
 fn with_columns(error: LogError, options: &Options) -> Trouble {
     let question = match &error {
-        LogError::NoTimes { path, what, rows, .. } => question(options, *rows).map(|own| {
-            let what = format!("{what}{}", own.implied);
-            Trouble::log(SourceName::from_path(path), what, own.remedy)
-        }),
+        LogError::NoTimes { path, what, rows, .. } => question(options, what, *rows)
+            .map(|(what, remedy)| Trouble::log(SourceName::from_path(path), what, remedy)),
         _ => None,
     };
     question.unwrap_or_else(|| error.into())
-}
-
-struct RateQuestion {
-    /// About the rate, if velocities imply one.
-    implied: String,
-    remedy: String,
 }
 
 /// The columns of a table of configurations, as a remedy. `None` if joints and positions of the tool are not among them.
@@ -98,9 +91,18 @@ fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
     Some((log, layouts, is_certain))
 }
 
-/// `None` if the columns are unknown as well.
-fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
-    let (log, layouts, is_certain) = propose_layouts(options)?;
+/// The problem and the remedy. `None` if the columns are unknown as well.
+fn question(options: &Options, what: &str, rows: usize) -> Option<(String, String)> {
+    let Some((log, layouts, is_certain)) = propose_layouts(options) else {
+        return Some(without_joints(&unnamed_poses(options)?));
+    };
+    if let [layout] = layouts.as_slice()
+        && log.tables.len() == 1
+        && !log.topics.iter().any(|topic| matches!(topic.columns, Some(Columns::Joints(_))))
+        && count_positions(&layout.layout) == 1
+    {
+        return Some(without_joints(layout));
+    }
     let rate_hz = implied_rate_hz(&open_at_assumed_rate(options, Some(&layouts))?);
     let with = |rate: &str| -> String {
         layouts.iter().map(|layout| option(layout, rate)).collect::<Vec<_>>().join(" ")
@@ -108,28 +110,70 @@ fn question(options: &Options, rows: usize) -> Option<RateQuestion> {
     let condition = if is_certain { "" } else { "if these are the columns, " };
     let or_times = format!("or pass a file with the times of the {rows} rows as well");
     Some(match rate_hz {
-        Some(rate_hz) => RateQuestion {
-            implied: format!("; recorded velocities imply {rate_hz} rows per second"),
-            remedy: format!(
-                "{condition}use {} or the true rate, {or_times}",
-                with(&format!("@{rate_hz}"))
-            ),
-        },
-        None => RateQuestion {
-            implied: String::new(),
-            remedy: format!(
-                "{condition}use {} with the true rows per second as RATE, {or_times}{}",
-                with("@RATE"),
-                match may_be_configurations(&log, &layouts) {
-                    true => format!(
-                        "; if each row is a configuration at rest, use `poseaudit calibrate` with {}",
-                        with("")
-                    ),
-                    false => String::new(),
+        Some(rate_hz) => (
+            format!("{what}; recorded velocities imply {rate_hz} rows per second"),
+            format!("{condition}use {} or the true rate, {or_times}", with(&format!("@{rate_hz}"))),
+        ),
+        None => {
+            let calibrate = match () {
+                () if may_be_configurations(&log, &layouts) => format!(
+                    "; if each row is a configuration at rest, use `poseaudit calibrate` with {}",
+                    with("")
+                ),
+                () if are_rows_independent(&log) => {
+                    "; these rows seem to be configurations at rest: use `poseaudit calibrate` with the measured \
+                     poses of the same rows as well"
+                        .to_owned()
                 }
-            ),
-        },
+                () => String::new(),
+            };
+            let with = with("@RATE");
+            let remedy = format!(
+                "{condition}use {with} with the true rows per second as RATE, {or_times}{calibrate}"
+            );
+            (what.to_owned(), remedy)
+        }
     })
+}
+
+/// For a table of poses only.
+fn without_joints(layout: &FileLayout) -> (String, String) {
+    (
+        format!("its columns are poses ({}), without joint positions or times", layout.layout),
+        format!(
+            "pass the joint positions of the same rows as well, to `poseaudit calibrate` if each row is a configuration \
+             at rest; or compare two series of poses, both with {}",
+            option(layout, "@RATE")
+        ),
+    )
+}
+
+/// Layout of a table with the numbers of positions and unit quaternions, and no names.
+fn unnamed_poses(options: &Options) -> Option<FileLayout> {
+    let log = open_at_assumed_rate(options, None)?;
+    let [topic] = log.topics.as_slice() else { return None };
+    let Some(Columns::Array(array)) = &topic.columns else { return None };
+    let are_poses = array.unnamed && array.width == 7 && may_be_poses(array);
+    are_poses.then(|| "xyz,rot[4]".parse().ok())?
+}
+
+/// Whether successive rows are as different as any two, as of configurations at rest, and unlike those of a motion.
+fn are_rows_independent(log: &Log) -> bool {
+    /// Mean squared difference of successive values per variance: 2 for independent values, 0 for a slow motion (von
+    /// Neumann, *Distribution of the ratio of the mean square successive difference to the variance*, Ann. Math. Stat. 12,
+    /// 1941).
+    const MIN_RATIO: f64 = 1.0;
+    let joints = log.topics.iter().filter_map(|topic| match &topic.columns {
+        Some(Columns::Joints(joints)) => Some(&joints.joints),
+        _ => None,
+    });
+    let ratios = joints.flatten().filter_map(|joint| {
+        let middle = mean(joint.position.iter().copied());
+        let variance = mean(joint.position.iter().map(|position| (position - middle).powi(2)));
+        let step = mean(joint.position.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)));
+        (variance > 0.0).then(|| step / variance)
+    });
+    mean(ratios) > MIN_RATIO
 }
 
 /// Layout that identifies the columns of a table by their names, if these show the joints.
@@ -147,15 +191,18 @@ fn may_be_configurations(log: &Log, layouts: &[FileLayout]) -> bool {
     let has_joints = |layout: &RowLayout| {
         layout.items().iter().any(|item| item.meaning == Meaning::Joints && !item.is_command)
     };
-    let has_position = |layout: &RowLayout| {
-        layout.items().iter().any(|item| {
-            matches!(item.meaning, Meaning::Axis(0) | Meaning::Matrix | Meaning::Vendor(_))
-                && !item.is_command
-        })
-    };
     layouts.iter().any(|own| has_joints(&own.layout))
-        && layouts.iter().any(|own| has_position(&own.layout))
+        && layouts.iter().any(|own| count_positions(&own.layout) > 0)
         && log.files.iter().all(|file| is_read_by_calibrate(file.container))
+}
+
+/// Number of measured positions that it states.
+fn count_positions(layout: &RowLayout) -> usize {
+    let is_position = |item: &&LayoutItem| {
+        matches!(item.meaning, Meaning::Axis(0) | Meaning::Matrix | Meaning::Vendor(_))
+            && !item.is_command
+    };
+    layout.items().iter().filter(is_position).count()
 }
 
 fn is_read_by_calibrate(container: Container) -> bool {

@@ -8,8 +8,8 @@ use super::missing_rate::columns_of_configurations;
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{
-    CalibrationTable, LogError, NumberTable, RotationColumns, read_calibration_table,
-    read_calibration_tables,
+    CalibrationTable, LogError, NumberTable, RotationColumns, not_configurations,
+    read_calibration_table, read_calibration_tables,
 };
 use crate::report::Trouble;
 use crate::robot::{Chain, LinkId, Robot};
@@ -39,22 +39,28 @@ pub(super) fn read_tables(
     configuration_table(table, &paths, options)
 }
 
-/// An error that asks for the columns proposes them.
 fn configuration_table(
     table: Result<Option<CalibrationTable>, LogError>,
     paths: &[&Path],
     options: &Options,
 ) -> Result<Option<ConfigurationTable>, Trouble> {
-    let propose = |error: LogError| {
-        let asks_for_columns = matches!(error, LogError::ConfigurationColumns { .. });
-        let logs = paths.iter().map(|path| path.to_path_buf()).collect();
-        let proposal = asks_for_columns
-            .then(|| columns_of_configurations(&Options { logs, ..options.clone() }))
-            .flatten();
-        let trouble = Trouble::from(error);
-        Trouble { remedy: proposal.unwrap_or_else(|| trouble.remedy.clone()), ..trouble }
+    let table = table.map_err(|error| read_trouble(error, paths, options))?;
+    Ok(table.map(ConfigurationTable))
+}
+
+/// An error that asks for the columns proposes them. Tables without times are configurations.
+pub(super) fn read_trouble(error: LogError, paths: &[&Path], options: &Options) -> Trouble {
+    let error = match error {
+        LogError::NoTimes { path, .. } => not_configurations(&path),
+        error => error,
     };
-    Ok(table.map_err(propose)?.map(ConfigurationTable))
+    let asks_for_columns = matches!(error, LogError::ConfigurationColumns { .. });
+    let logs = paths.iter().map(|path| path.to_path_buf()).collect();
+    let proposal = asks_for_columns
+        .then(|| columns_of_configurations(&Options { logs, ..options.clone() }))
+        .flatten();
+    let trouble = Trouble::from(error);
+    Trouble { remedy: proposal.unwrap_or_else(|| trouble.remedy.clone()), ..trouble }
 }
 
 pub(super) struct ConfigurationTable(CalibrationTable);

@@ -105,6 +105,14 @@ fn without_poses(path: &Path) -> LogError {
     }
 }
 
+/// A table whose columns are unknown.
+pub fn not_configurations(path: &Path) -> LogError {
+    LogError::ConfigurationColumns {
+        path: path.to_owned(),
+        what: "it is not read as a table of configurations".to_owned(),
+    }
+}
+
 /// Reads two tables of the same configurations, one of joints and one of measured poses. `None` if they are something else.
 ///
 /// # Errors
@@ -121,10 +129,7 @@ pub fn read_calibration_tables(
         ((_, Some(one)), (path, None)) | ((path, None), (_, Some(one)))
             if !has_poses(&one) && !is_any_log =>
         {
-            return Err(LogError::ConfigurationColumns {
-                path: path.to_owned(),
-                what: "it is not read as a table of configurations".to_owned(),
-            });
+            return Err(not_configurations(path));
         }
         _ => return Ok(None),
     };

@@ -208,10 +208,10 @@ impl LogError {
 /// What to do about a table without times, with these rows and numbers in each.
 pub fn rate_remedy(rows: usize, numbers: usize) -> String {
     format!(
-        "state its {numbers} columns with --columns, as q[6] for joints, xyz and rotvec for a pose and _[2] for two others, \
-         and end with the true rows per second, as @30; or set `rate_hz = 30` in [columns] of the config, or pass a \
-         file with the times of the {rows} rows as well; if each row is a configuration at rest, use `poseaudit \
-         calibrate` without a rate"
+        "state its {numbers} columns with --columns, as q[6] for joints, xyz and rotvec for a pose and _[2] for two others \
+         (without joints, poses are compared only with other poses), and end with the true rows per second, as @30; or set \
+         `rate_hz = 30` in [columns] of the config, or pass a file with the times of the {rows} rows as well; if each row is \
+         a configuration at rest, use `poseaudit calibrate` without a rate"
     )
 }
 

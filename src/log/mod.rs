@@ -48,7 +48,7 @@ use self::file_format::FileFormat;
 use self::tables::TableFormat;
 
 pub use self::calibration_table::{
-    CalibrationTable, NumberTable, RotationColumns, read_calibration_table,
+    CalibrationTable, NumberTable, RotationColumns, not_configurations, read_calibration_table,
     read_calibration_tables, read_number_table,
 };
 pub use self::contents::{

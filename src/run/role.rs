@@ -348,7 +348,7 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
 }
 
 /// False for seven numbers without a quaternion, such as joint positions.
-pub(super) fn may_be_poses(array: &ArrayColumns) -> bool {
+pub(crate) fn may_be_poses(array: &ArrayColumns) -> bool {
     /// Deviation from unit norm, for numbers with two digits.
     const MAX_DEFECT: f64 = 0.03;
     if array.width != 7 {
