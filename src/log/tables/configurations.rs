@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{ReadContext, Table, TableFormat, matlab, npy, records, xlsx};
+use super::{Cell, ReadContext, Table, TableFormat, matlab, npy, records, xlsx};
 use crate::losses::Losses;
 use crate::memory_budget::MemoryBudget;
 
@@ -36,7 +36,7 @@ pub(crate) fn names_and_rows(
 impl Table {
     fn names_and_rows(&self) -> (Vec<String>, Vec<Vec<f64>>) {
         let cells = self.row_cells();
-        let name = |cell: &Option<(usize, usize)>| {
+        let name = |cell: &Option<Cell>| {
             cell.map_or_else(String::new, |cell| self.cell_name(cell))
         };
         let row = |row: usize| {
