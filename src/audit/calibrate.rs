@@ -7,7 +7,7 @@ use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble
 use super::fixed_point::{
     self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
-use super::tables::{read_table, read_tables, read_trouble};
+use super::tables::{read_points, read_table, read_tables, read_trouble};
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
 };
@@ -71,10 +71,14 @@ impl CalibrationResult {
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
-    if let [one, other] = options.logs.as_slice()
-        && let Some(table) = read_tables([one, other], options)?
-    {
-        let one_run = Options { logs: vec![one.clone()], ..options.clone() };
+    let paths: Vec<&Path> = options.logs.iter().map(PathBuf::as_path).collect();
+    let table = match paths.as_slice() {
+        [] | [_] => None,
+        &[one, other] => read_tables([one, other], options)?,
+        several => read_points(several, options)?,
+    };
+    if let Some(table) = table {
+        let one_run = Options { logs: options.logs[..1].to_vec(), ..options.clone() };
         return calibrate_inputs(&one_run, |path| table.input(path, &options.run), None);
     }
     let read = |path: &Path| match read_table(path, options)? {

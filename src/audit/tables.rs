@@ -9,7 +9,7 @@ use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{
     CalibrationTable, LogError, NumberTable, RotationColumns, not_configurations,
-    read_calibration_table, read_calibration_tables,
+    read_calibration_points, read_calibration_table, read_calibration_tables,
 };
 use crate::report::Trouble;
 use crate::robot::{Chain, LinkId, Robot};
@@ -37,6 +37,15 @@ pub(super) fn read_tables(
 ) -> Result<Option<ConfigurationTable>, Trouble> {
     let table = read_calibration_tables(paths, &options.read.columns);
     configuration_table(table, &paths, options)
+}
+
+/// Joints and several points of the same configurations in tables whose columns are stated. `None` if they are something else.
+pub(super) fn read_points(
+    paths: &[&Path],
+    options: &Options,
+) -> Result<Option<ConfigurationTable>, Trouble> {
+    let table = read_calibration_points(paths, &options.read.columns);
+    configuration_table(table, paths, options)
 }
 
 fn configuration_table(

@@ -133,19 +133,76 @@ pub fn read_calibration_tables(
         }
         _ => return Ok(None),
     };
-    let ((joints_path, mut joints), (poses_path, poses)) =
-        match (has_poses(&one), has_poses(&other)) {
-            (false, true) => ((first, one), (second, other)),
-            (true, false) => ((second, other), (first, one)),
-            (false, false) => return Err(without_poses(first)),
-            (true, true) => return Ok(None),
-        };
+    let (joints, poses) = match (has_poses(&one), has_poses(&other)) {
+        (false, true) => ((first, one), (second, other)),
+        (true, false) => ((second, other), (first, one)),
+        (false, false) => return Err(without_poses(first)),
+        (true, true) => return Ok(None),
+    };
+    join_rows(joints, vec![poses]).map(by_names)
+}
+
+/// Reads tables of the same configurations, one of joints and several of points on the tool, by their layouts in
+/// `settings`. `None` if the layouts state something else.
+///
+/// # Errors
+/// Those of [`read_calibration_tables`].
+pub fn read_calibration_points(
+    paths: &[&Path],
+    settings: &ColumnSettings,
+) -> Result<Option<CalibrationTable>, LogError> {
+    let states = |path: &Path, is_wanted: fn(Meaning) -> bool| {
+        let layout = settings.layout_of(path).filter(|layout| layout.time() == LayoutTime::Open);
+        let items = layout.map(RowLayout::items).unwrap_or_default();
+        items.iter().any(|item| !item.is_command && is_wanted(item.meaning))
+    };
+    let has_joints = |path: &Path| states(path, |meaning| meaning == Meaning::Joints);
+    let has_position = |path: &Path| states(path, |meaning| meaning == Meaning::Axis(0));
+    let (joints, points): (Vec<&Path>, Vec<&Path>) =
+        paths.iter().copied().partition(|&path| has_joints(path));
+    let &[joints] = joints.as_slice() else { return Ok(None) };
+    if has_position(joints) || !points.iter().all(|&path| has_position(path)) {
+        return Ok(None);
+    }
+    let has_rotation = |path: &Path| {
+        states(path, |meaning| {
+            matches!(
+                meaning,
+                Meaning::QuaternionPart(_)
+                    | Meaning::Rotation(_)
+                    | Meaning::Matrix
+                    | Meaning::Vendor(_)
+            )
+        })
+    };
+    if let Some(path) = points.iter().find(|&&path| has_rotation(path)) {
+        return Err(LogError::Configurations {
+            path: path.to_path_buf(),
+            what: "it has rotations, but of several points only the positions are used".to_owned(),
+            remedy: "write `_` for the columns of its rotations in --columns",
+        });
+    }
+    let read = |path| -> Result<_, LogError> {
+        let numbers = read_named_numbers(path, settings)?;
+        Ok((path, numbers.ok_or_else(|| not_configurations(path))?))
+    };
+    let points: Result<Vec<(&Path, NumberTable)>, LogError> =
+        points.into_iter().map(read).collect();
+    join_rows(read(joints)?, points?).map(by_names)
+}
+
+/// Joins tables of the same configurations, of joints and of measured points. Only the first point has a rotation.
+fn join_rows(
+    (path, mut joints): (&Path, NumberTable),
+    points: Vec<(&Path, NumberTable)>,
+) -> Result<NumberTable, LogError> {
     let unusable = |path: &Path, what| LogError::Configurations {
         path: path.to_owned(),
         what,
-        remedy: "each row of one table must belong to the same row of the other",
+        remedy: "each row of one table must belong to the same row of the others",
     };
-    for (path, table) in [(joints_path, &joints), (poses_path, &poses)] {
+    let others = points.iter().map(|(path, table)| (*path, table));
+    for (path, table) in std::iter::once((path, &joints)).chain(others) {
         if let Some(line) = table.dropped.first() {
             let (lost, width) = (table.dropped.len(), table.width());
             let what = format!(
@@ -154,20 +211,25 @@ pub fn read_calibration_tables(
             return Err(unusable(path, what));
         }
     }
-    if joints.rows.len() != poses.rows.len() {
-        let [joints, poses] = [&joints, &poses].map(|table| table.rows.len());
-        return Err(unusable(
-            poses_path,
-            format!("it has {poses} rows, but the joints have {joints}"),
-        ));
-    }
     if joints.names.is_empty() {
         joints.names = (1..=joints.width()).map(|joint| format!("q{joint}")).collect();
     }
-    joints.names.extend(poses.names);
-    joints.pose_name = poses.pose_name;
-    joints.rows.iter_mut().zip(poses.rows).for_each(|(row, pose)| row.extend(pose));
-    Ok(by_names(joints))
+    for (number, (path, table)) in (1..).zip(points) {
+        let [rows, expected] = [&table, &joints].map(|table| table.rows.len());
+        if rows != expected {
+            let what = format!("it has {rows} rows, but the joints have {expected}");
+            return Err(unusable(path, what));
+        }
+        let rename = |name: String| match name.as_str() {
+            _ if number == 1 => name,
+            "x" | "y" | "z" => format!("{name}{number}"),
+            _ => "_".to_owned(),
+        };
+        joints.names.extend(table.names.into_iter().map(rename));
+        joints.pose_name = joints.pose_name.or(table.pose_name);
+        joints.rows.iter_mut().zip(table.rows).for_each(|(row, point)| row.extend(point));
+    }
+    Ok(joints)
 }
 
 /// Numbers at `path`, with the names of their columns by its layout in `settings` or by its header.
@@ -554,6 +616,21 @@ mod tests {
             assert_eq!(table.positions, [[2, 3, 4]]);
             assert_eq!(table.numbers.joints(&names(&["a", "b"])), Some(vec![0, 1]));
         }
+        let file = |path: &Path, layout: &str| -> FileLayout {
+            let name = path.file_name().unwrap().to_string_lossy();
+            format!("{name}={layout}").parse().unwrap()
+        };
+        let [one, two] = ["1.txt", "2.txt"].map(|name| write(name, b"1 2 3\n4 5 6\n"));
+        let layouts = vec![file(&joints, "q[2]"), file(&one, "xyz"), file(&two, "xyz:mm")];
+        let settings_of_points = ColumnSettings { layouts, ..ColumnSettings::default() };
+        let read_points = |settings: &ColumnSettings| {
+            let paths = [&one, &joints, &two].map(|path| path.as_path());
+            read_calibration_points(&paths, settings).unwrap()
+        };
+        let table = read_points(&settings_of_points).unwrap();
+        assert_eq!(table.positions, [[2, 3, 4], [5, 6, 7]]);
+        assert_eq!(table.numbers.rows[1], [3.0, 4.0, 4.0, 5.0, 6.0, 4e-3, 5e-3, 6e-3]);
+        assert_eq!(read_points(&settings), None);
         let why = |one: &Path| read(one, &poses).unwrap_err().to_string();
         let few = why(&write("few.txt", b"1 2\n"));
         assert!(few.contains("p.csv: it has 2 rows, but the joints have 1"), "{few}");

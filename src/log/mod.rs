@@ -48,8 +48,8 @@ use self::file_format::FileFormat;
 use self::tables::TableFormat;
 
 pub use self::calibration_table::{
-    CalibrationTable, NumberTable, RotationColumns, not_configurations, read_calibration_table,
-    read_calibration_tables, read_number_table,
+    CalibrationTable, NumberTable, RotationColumns, not_configurations, read_calibration_points,
+    read_calibration_table, read_calibration_tables, read_number_table,
 };
 pub use self::contents::{
     Cell, Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,

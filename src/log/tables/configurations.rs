@@ -36,9 +36,7 @@ pub(crate) fn names_and_rows(
 impl Table {
     fn names_and_rows(&self) -> (Vec<String>, Vec<Vec<f64>>) {
         let cells = self.row_cells();
-        let name = |cell: &Option<Cell>| {
-            cell.map_or_else(String::new, |cell| self.cell_name(cell))
-        };
+        let name = |cell: &Option<Cell>| cell.map_or_else(String::new, |cell| self.cell_name(cell));
         let row = |row: usize| {
             let numbers = cells.iter().map(|cell| cell.map_or(0.0, |cell| self.number(row, cell)));
             numbers.collect()
