@@ -301,7 +301,7 @@ impl Scenario {
         out: impl Write + Seek,
         compression: Option<Compression>,
     ) -> Result<(), SynthError> {
-        write(std::slice::from_ref(self), out, compression)
+        write_cell(std::slice::from_ref(self), out, compression)
     }
 
     /// True positions and velocities at times after the start, s.
