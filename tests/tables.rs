@@ -141,7 +141,7 @@ pub(crate) fn fault_codes(report: &Report) -> Vec<&str> {
     let above = report
         .findings
         .iter()
-        .filter(|finding| finding.severity > poseaudit::finding::Severity::Info);
+        .filter(|finding| finding.severity > Severity::Info);
     above.map(|finding| finding.code).collect()
 }
 

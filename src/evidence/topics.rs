@@ -127,7 +127,7 @@ pub(super) fn joints_never_set(run: &Run) -> Vec<NotAudited> {
                 || limits.upper.is_some_and(|upper| upper < 0.0)
         };
         let impossible = arm.joint_names.iter().find(excludes_zero).cloned();
-        (samples > 0 && arm.joint_sources.iter().all(is_zero)).then(|| NotAudited {
+        (samples > 0 && arm.joint_sources.iter().all(is_zero)).then_some(NotAudited {
             stream: first.stream,
             reason: NotAuditedReason::NeverSet { samples, impossible },
         })

@@ -513,6 +513,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
+    use crate::FileLayout;
 
     fn names(of: &[&str]) -> Vec<String> {
         of.iter().map(|&name| name.to_owned()).collect()
