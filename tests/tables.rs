@@ -138,10 +138,7 @@ pub(crate) fn value_of(report: &Report, code: &str) -> f64 {
 }
 
 pub(crate) fn fault_codes(report: &Report) -> Vec<&str> {
-    let above = report
-        .findings
-        .iter()
-        .filter(|finding| finding.severity > Severity::Info);
+    let above = report.findings.iter().filter(|finding| finding.severity > Severity::Info);
     above.map(|finding| finding.code).collect()
 }
 

@@ -5,7 +5,6 @@
 //! residual wins. Frame-independent invariants do not suffice, because several encodings differ only by a
 //! constant frame.
 
-use crate::encodings::decoded_stream::max_angle;
 use crate::frames::rotation_frames::{CandidateRotations, fit_both_frames, fit_one_frame, nearest};
 use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::priors::ZERO_PRIOR;
@@ -31,8 +30,6 @@ const MAX_LINK_RESIDUAL_RATIO: f64 = 20.0;
 /// Above this, no candidate is accepted (20°).
 pub(crate) const MAX_RESIDUAL_RAD: f64 = 0.35;
 
-/// Ratio of FK's turn to the residual, for another encoding beside free frames.
-const MIN_TURN_RATIO: f64 = 3.0;
 const MIN_SCREENING_SAMPLES: usize = 16;
 const SCREENING_ERROR_FACTOR: f64 = 1.5;
 /// Candidates fitted at a time, the nearest first.
@@ -307,12 +304,6 @@ pub(crate) fn estimate_imu_encoding(
         .filter(|fit| fit.residual_rad <= max_residual)
         .min_by_key(leaning)
         .unwrap_or(&fits[0]);
-    // With free frames, a reading that shrinks all turns would match an arm that does not turn.
-    let is_as_logged = matches!(best.encoding, PoseEncoding::AsLogged);
-    let is_at_rest = max_angle(samples.fk) < MIN_TURN_RATIO * best.residual_rad;
-    if is_at_rest && !is_as_logged && best.frames != FreeFrameErrors::None {
-        return Err(NotObservable::NotExcited);
-    }
     let near_best = max_similar(best.residual_rad);
     let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
     let others =

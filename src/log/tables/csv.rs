@@ -240,13 +240,14 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
         }
         let below = &head[at + 1..];
         let (mut row, next) = typical_rows(first, below, delimiter);
-        // The next row is shorter if only the head of the file is read.
+        let has_numbers = |row: &[&[u8]]| row.iter().any(|cell| is_number(cell, delimiter));
         let is_table = match below.first() {
             Some((_, _, next)) if next.len() > MAX_LINE_BYTES => false,
-            Some((_, _, next)) => {
-                let next = cells(next, delimiter);
-                table_width(&next, row.len()) <= row.len()
-                    && next.iter().any(|cell| is_number(cell, delimiter))
+            // The next row is shorter if only the head of the file is read.
+            Some((_, _, line)) => {
+                let line = cells(line, delimiter);
+                has_numbers(&next)
+                    || (table_width(&line, row.len()) <= row.len() && has_numbers(&line))
             }
             None => !above.is_empty(),
         };

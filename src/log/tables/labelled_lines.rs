@@ -24,7 +24,7 @@ pub(super) fn to_table(bytes: &[u8]) -> Option<(Vec<u8>, TextLayout)> {
         is_row.then(|| own.numbers.join(&DELIMITER))
     };
     let rows = head.iter().filter(|(_, _, line)| numbers_of(line).is_some()).count();
-    if rows < MIN_LINES || 2 * rows < head.len() {
+    if rows < MIN_LINES || 2 * rows <= head.len() {
         return None;
     }
     let row = |line: &[u8]| numbers_of(line).unwrap_or_else(|| line.to_vec());

@@ -51,6 +51,13 @@ fn workbook(cells: &[(char, usize, Option<String>)]) -> Vec<u8> {
     let members = [
         ("[Content_Types].xml", format!("<Types xmlns=\"{package}/content-types\"/>")),
         (
+            "_rels/.rels",
+            format!(
+                "<Relationships xmlns=\"{package}/relationships\"><Relationship Id=\"rId1\" \
+                Type=\"{office}/officeDocument\" Target=\"xl/workbook.xml\"/></Relationships>"
+            ),
+        ),
+        (
             "xl/_rels/workbook.xml.rels",
             format!(
                 "<Relationships xmlns=\"{package}/relationships\"><Relationship Id=\"rId1\" \
