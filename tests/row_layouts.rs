@@ -204,7 +204,7 @@ fn a_table_of_poses_or_of_configurations_is_not_only_asked_for_its_rate() {
         let logs = [write(folder.path(), "run.csv", &content)];
         audit_with(&logs, None, None).expect_err("a refusal")
     };
-    for (names, layout) in [("x,y,z,qx,qy,qz,qw\n", "x,y,z,qx,qy,qz,qw"), ("", "xyz,rot[4]")] {
+    for (names, layout) in [("x,y,z,qx,qy,qz,qw\n", "x,y,z,qx,qy,qz,qw"), ("", "x,y,z,rot[4]")] {
         let poses = refusal(names, 7..14, 20);
         let asks = format!("({layout}), without joint positions");
         assert!(poses.what.contains(&asks), "{poses}");

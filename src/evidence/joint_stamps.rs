@@ -312,6 +312,10 @@ fn resampling<'a>(joints: &[JointSamples<'a>]) -> Option<(Resampling, Vec<JointS
         step_error_s: (square_s2 / rows as f64).sqrt(),
         velocity_errors: Vec::new(),
     };
+    // A new stamp is at most one value late. Longer steps are jumps of the positions, as of another unit.
+    if resampling.step_error_s * resampling.values_hz > 1.0 {
+        return None;
+    }
     let (mut kept, mut kept_s, mut now_s) = (vec![0], vec![t_s[0]], t_s[0]);
     for (row, step_s) in (1..).zip(&steps_s) {
         now_s += step_s;
