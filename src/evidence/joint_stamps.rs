@@ -1,5 +1,5 @@
 //! Compares the stamps of joint states with their positions and velocities: an even grid, as of generated stamps, pauses
-//! of the recorder that such stamps hide, and values that are sampled and stamped anew.
+//! of the recorder that such stamps hide, and resampled values with new stamps.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub struct HiddenPauses {
     pub typical_s: f64,
 }
 
-/// Values that are sampled and stamped anew: between two rows, all joints move on for another time than the stamps step.
+/// Resampled values with new stamps: between two rows, all joints move for another time than the stamps step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Resampling {
     /// Rows in motion.
@@ -113,7 +113,7 @@ fn even_rate_hz(t_s: &[f64]) -> Option<f64> {
 /// Rows before which all moving joints advance as far as their velocities take them in many rows, while they follow their
 /// velocities in the rows around. With the time that is missing, s.
 fn pauses(joints: &[JointSamples<'_>]) -> Vec<(usize, f64)> {
-    /// Smallest motion of a pause, relative to that of one step.
+    /// Smallest motion of a pause, relative to the motion in one step.
     const MIN_STEPS: f64 = 5.0;
     /// Smallest jump of positions, relative to their resolution and noise.
     const MIN_ENCODER_STEPS: f64 = 4.0;
@@ -197,7 +197,7 @@ impl<'a> RowMotion<'a> {
         self.moved.iter().zip(&self.rate).map(|(moved, rate)| [moved * rate, rate * rate])
     }
 
-    /// Scales the rates to the motion in `steps_s`, so that a wrong unit or sign is no wrong time.
+    /// Scales the rates to the motion in `steps_s`, so that a wrong unit or sign does not look like a wrong time.
     fn scale_to(&mut self, steps_s: &[f64]) {
         let mut sums = [0.0; 2];
         for ([along, square], step_s) in self.products().zip(steps_s) {
@@ -243,8 +243,8 @@ impl StepSums {
         (square > self.min_square).then(|| along / square)
     }
 
-    /// Steps of the rows in motion, with the same sum as those of the stamps, which are those of the other rows: a common
-    /// factor is one of the velocities.
+    /// Steps of the rows in motion, scaled to the sum of their stamped steps: a common factor is an error of the
+    /// velocities. Other rows keep their stamped steps.
     fn steps_s(&self, stamped_s: &[f64]) -> Vec<f64> {
         let own_s: Vec<Option<f64>> = self.sums.iter().map(|sum| self.step_s(*sum)).collect();
         let moving = own_s.iter().zip(stamped_s).filter(|(own_s, _)| own_s.is_some());
@@ -255,16 +255,15 @@ impl StepSums {
     }
 }
 
-/// Estimates one time step for each row, in which the velocities of all joints explain their motion. `None` if the steps do
-/// not explain most of what the stamps leave, predicting each joint by the steps of the others. Also returns the samples at
-/// the estimated times, without repeats.
+/// Estimates one time step for each row from the motion and velocities of all joints, and returns the samples at these times,
+/// without repeats. `None` if the steps from the other joints do not explain most of a joint's error at the stamps.
 fn resampling<'a>(joints: &[JointSamples<'a>]) -> Option<(Resampling, Vec<JointSamples<'a>>)> {
     /// Scales of velocities and steps depend on each other little.
     const ROUNDS: usize = 3;
     /// Share of the squared error that the steps may leave.
     const MAX_RESIDUAL_RATIO: f64 = 0.2;
     /// Between successive deviations from the stamps. If the joints move in proportion, steps also explain velocities that
-    /// lag or are filtered, but these steps vary smoothly; those of values sampled anew do not.
+    /// lag or are filtered, but these steps vary smoothly; the steps of resampled values do not.
     const MAX_CORRELATION: f64 = 0.5;
     /// Of a usual step; in less, a row has no new value.
     const MIN_STEP_SHARE: f64 = 0.1;
@@ -411,7 +410,7 @@ mod tests {
     fn values_sampled_anew_are_compared_at_their_own_times() {
         for (source_hz, repeated, values_hz) in [(29.3, 14, 29.3), (31.1, 0, 30.0)] {
             let (found, velocities) = judge(&read(source_hz, false, 0.0, [1.0; 4]));
-            let found = found.expect("sampled anew");
+            let found = found.expect("a resampling");
             assert_eq!(found.repeated, repeated, "{found:?}");
             assert!((found.values_hz - values_hz).abs() < 0.05, "{found:?}");
             assert!((found.rows_hz - 30.0).abs() < 0.01, "{found:?}");

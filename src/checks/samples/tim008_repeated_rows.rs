@@ -12,7 +12,7 @@ rule! {
     /// At least 5 % of a stream's rows (joint states, poses, transforms or IMU) repeat the previous row bit
     /// for bit under a new stamp while the arm moves. Typical causes: a script that polls faster than
     /// values arrive, or a node that upsamples by repetition. Joint states are also reported at any share if
-    /// their velocities show that they were sampled at another rate than their source's and stamped anew.
+    /// their velocities show that the recorder resampled them and set new stamps.
     ///
     /// ## Why it matters
     /// The stamps hide the age of the values. Differentiation gives standstills and jumps, impossible
@@ -22,9 +22,9 @@ rule! {
     /// - `repeated` of `rows` in motion repeat the previous row.
     /// - `rows_hz`: row rate; `values_hz`: rate of new values.
     /// - `mean_age_s`: mean age of a row's value.
-    /// - `step_error_s`: rms difference between the steps of the stamps and of the values. The latter are
-    ///   those in which the velocities of all joints explain their motion. Reported if this leaves at most a
-    ///   fifth of the squared error of the velocities, which VEL001 would report otherwise.
+    /// - `step_error_s`: rms difference between the steps of the stamps and of the values. The velocities of
+    ///   all joints give the steps of the values. Reported if these steps explain at least four fifths of
+    ///   the velocities' squared error, which VEL001 would report otherwise.
     /// - The estimate is the fraction of repeated rows.
     ///
     /// The other rules use each value once: joint states, and streams that repeat with them, at the time

@@ -72,8 +72,8 @@ fn check_size(bytes: &[u8], memory: &MemoryBudget) -> Result<(), TableError> {
     Ok(())
 }
 
-/// The sheet as text, with a line for each row and tabs between the cells. Rows end at their last cell with a value: a cell
-/// that only has a style is none.
+/// The sheet as text, with a line for each row and tabs between the cells. Rows end at their last cell with a value; cells
+/// with a style alone are left out.
 fn sheet_text(
     book: &mut Xlsx<Cursor<&[u8]>>,
     name: &str,
@@ -104,8 +104,8 @@ fn sheet_text(
     Ok(text)
 }
 
-/// The rows as wide as the table in the sheet, and the cells beside it. Its width is that of most rows; names next to
-/// them are of columns that are mostly empty.
+/// Cuts or pads rows to the width of the sheet's table, and returns the cells outside. Most rows have this width; further
+/// names belong to columns that are mostly empty.
 fn align_rows(
     text: &str,
     memory: &MemoryBudget,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::diagnosis::best_lag_peak;
 use crate::finding::Unit;
-use crate::geometry::{Rotation, Vec3, angle_between};
+use crate::geometry::{Rotation, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
@@ -74,17 +74,19 @@ impl SampleErrors {
     }
 }
 
-/// Largest distance from the first pose, m.
-fn motion_m(track: &PoseTrack, rotations: &[Rotation]) -> f64 {
-    let moved_m = |xyz: &Vec3| (xyz - track.xyz[0]).norm();
-    let turned_m = |rotation: &Rotation| LEVER_M * angle_between(&rotations[0], rotation);
-    let all = track.xyz.iter().map(moved_m).chain(rotations.iter().map(turned_m));
-    all.fold(0.0, f64::max)
+impl Candidate {
+    /// Whether a pose differs from the first by more than an arm at rest trembles.
+    fn moves(&self) -> bool {
+        let PoseTrack { xyz, orientation, .. } = &self.logged.track;
+        let moved = xyz.iter().any(|own| (own - xyz[0]).norm() > MIN_MOTION_M);
+        let Orientations::Rotations(all) = orientation else { return moved };
+        moved || all.iter().any(|own| LEVER_M * angle_between(&all[0], own) > MIN_MOTION_M)
+    }
 }
 
 impl Assembly<'_> {
     /// Makes a pose stream the reference of the others: the caller's, else the one with the smallest errors that
-    /// another follows. Streams that do not follow it are of other bodies, unless there are only two.
+    /// another follows. Without a choice of the caller, of more than two streams those that do not follow are of other bodies.
     ///
     /// # Errors
     /// If the caller's reference is not a stream of poses with rotations that change.
@@ -98,17 +100,23 @@ impl Assembly<'_> {
                 return Err(self.unusable_reference(topic));
             }
         }
+        let is_choice = wanted.is_none() && compared.len() > 2;
+        candidates.retain(|candidate| !is_choice || candidate.moves());
         candidates.sort_by(|a, b| a.errors.total_m().total_cmp(&b.errors.total_m()));
         let arms = candidates.iter().map(|one| self.trajectory(one, &compared));
         let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
         // In a log of an arm, a pose stream may have nothing to do with the others.
         let is_without_joints = matches!(no_arm, RunError::NoJointStates { question: None, .. });
-        let is_only_pair = |arm: &&Arm| is_without_joints && other_streams(arm).count() == 1;
-        let first = arms.first().filter(is_only_pair).cloned();
+        let first = arms.first().filter(|_| is_without_joints && !is_choice).cloned();
         let followed = |mut arm: Arm| {
             let followers = self.followers(&arm);
-            arm.trajectory.as_mut()?.others.clone_from(&followers);
-            (!followers.is_empty()).then_some(arm)
+            if followers.is_empty() {
+                return None;
+            }
+            if is_choice {
+                arm.trajectory.as_mut()?.others = followers;
+            }
+            Some(arm)
         };
         if let Some(arm) = arms.into_iter().find_map(followed).or(first)
             && let Some(Trajectory { stream, why, .. }) = &arm.trajectory
@@ -153,12 +161,12 @@ impl Assembly<'_> {
         if measured.len() > 1 { measured } else { all }
     }
 
-    /// Streams of moving bodies with rotations.
+    /// Streams of changing poses with rotations.
     fn reference_candidates(&self, compared: &[usize]) -> Vec<Candidate> {
         let candidate = |&stream: &usize| {
             let logged = self.logged_poses(stream)?;
             let Orientations::Rotations(rotations) = &logged.track.orientation else { return None };
-            if logged.track.t_s.len() < 3 || motion_m(&logged.track, rotations) < MIN_MOTION_M {
+            if logged.track.t_s.len() < 3 || !logged.track.changes() {
                 return None;
             }
             let errors = SampleErrors::of(&logged.track, rotations);

@@ -1,4 +1,4 @@
-//! Streams of different rates in one table: rows that leave all numbers of a stream empty are none of its samples.
+//! Streams of different rates in one table: a row without numbers of a stream is not a sample of this stream.
 
 use std::collections::BTreeSet;
 
