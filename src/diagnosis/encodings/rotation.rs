@@ -262,6 +262,7 @@ pub(crate) fn estimate_imu_encoding(
         return Err(NotObservable::DoesNotFollow(min_residual.cos()));
     }
     let accepted = max_similar(min_residual).min(MAX_RESIDUAL_RAD);
+    let by_links = max_by_links(min_residual);
     // A common slip under which gravity is upright is likelier than a tilted world.
     let is_upright_slip = |fit: &EncodingFit| {
         matches!(fit.encoding, PoseEncoding::Transposed | PoseEncoding::QuaternionOrder(_))
@@ -273,7 +274,7 @@ pub(crate) fn estimate_imu_encoding(
     let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
-            let is_contradicted = fit.residual_rad <= accepted
+            let is_contradicted = fit.residual_rad <= accepted.max(by_links)
                 && ((!(may_tilt_world && turns_world_only(fit))
                     && tilts_gravity(fit, samples, forces))
                     || contradicts_gyro(&fit.tool));
@@ -281,7 +282,6 @@ pub(crate) fn estimate_imu_encoding(
             (simplicity(fit, samples.reference_known) + penalty, fit)
         })
         .collect();
-    let by_links = max_by_links(min_residual);
     // With the same frame errors, another encoding must explain more than link deviations. So must frame errors with
     // another encoding.
     let is_usual = |rank: u8, fit: &EncodingFit| {
@@ -592,6 +592,35 @@ fn residual(
 mod tests {
     use super::*;
     use ground::geometry::rotation_from_rotvec;
+
+    /// Turns mostly about one axis look alike inverted, with a mount turned by half a turn. Gravity and gyro decide.
+    #[test]
+    fn a_transposed_imu_is_no_turned_mount() {
+        let fk: Vec<Rotation> = (0..72)
+            .map(|k| {
+                let wobble = 0.02 * (0.7 * k as f64).sin();
+                rotation_from_rotvec(Vec3::new(0.0, wobble, 0.0))
+                    * rotation_from_rotvec(Vec3::x() * (0.3 * k as f64).sin())
+            })
+            .collect();
+        let noise = |k: usize| rotation_from_rotvec(Vec3::y() * 1.4e-3 * (1.9 * k as f64).sin());
+        let logged: Vec<Rotation> =
+            fk.iter().enumerate().map(|(k, fk)| fk.inverse() * noise(k)).collect();
+        let forces: Vec<Vec3> = fk.iter().map(|fk| fk.inverse() * Vec3::z() * 9.81).collect();
+        let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
+        let is_turned = |mount: &Rotation| mount.angle() > 0.1;
+        let (estimate, _) = estimate_imu_encoding(&samples, &forces, &is_turned).unwrap();
+        assert_eq!(estimate.best, PoseEncoding::Transposed);
+        let as_logged = all_fits(&samples, &|_| false)
+            .into_iter()
+            .filter(|fit| matches!(fit.encoding, PoseEncoding::AsLogged));
+        let as_logged_rad = as_logged.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+        assert!(
+            (max_similar(estimate.best_rad)..max_by_links(estimate.best_rad))
+                .contains(&as_logged_rad),
+            "{as_logged_rad}"
+        );
+    }
 
     #[test]
     fn no_residual_is_below_its_bound() {
