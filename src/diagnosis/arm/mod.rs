@@ -249,7 +249,10 @@ impl<'a> EncodingSearch<'a> {
             Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
         };
         let by_residual = match self.has_change(metres) {
-            false => other_encoding(joints, stream, metres[index], lag_s, residual),
+            false => {
+                let lags_s = (lag_s, self.max_lag_s);
+                other_encoding(joints, stream, metres[index], lags_s, residual)
+            }
             true => None,
         };
         let last = stream.columns.last().filter(|_| is_unread);

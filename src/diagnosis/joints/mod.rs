@@ -171,7 +171,7 @@ pub(super) fn other_encoding(
     joints: &JointTrack,
     stream: &PoseStream,
     scale: f64,
-    lag_s: f64,
+    (lag_s, max_lag_s): (f64, f64),
     as_logged: ResidualSize,
 ) -> Option<JointEncoding> {
     const MIN_LARGE_ROTATION_RESIDUAL_RAD: f64 = 0.05;
@@ -199,9 +199,22 @@ pub(super) fn other_encoding(
     } else {
         &InterpretationKind::FOR_SMALL_RESIDUALS[..]
     };
-    let mut views = views(joints, stream, &samples);
-    views.retain(|view| !turns_only || view.rotation.is_some());
-    let found = search_views(stream, &[views], max_residual, kinds)?;
+    // The latency of a wrong model may be wrong.
+    let mut at_lags = vec![samples];
+    at_lags.extend(
+        latency_candidates(joints, stream, max_lag_s)
+            .into_iter()
+            .map(|lag_s| slow_simultaneous_samples(joints, stream, scale, lag_s)),
+    );
+    let views: Vec<Vec<InterpretedPoses>> = at_lags
+        .iter()
+        .map(|samples| {
+            let mut views = views(joints, stream, samples);
+            views.retain(|view| !turns_only || view.rotation.is_some());
+            views
+        })
+        .collect();
+    let found = search_views(stream, &views, max_residual, kinds)?;
     Some(to_encoding(joints.dof, stream, &found, as_logged.m))
 }
 
@@ -228,17 +241,24 @@ fn search_views(
             }
             let lags =
                 if kind == InterpretationKind::OneJoint { views.len() } else { LAGS_FOR_ALL_KINDS };
+            let mut ambiguous_m = f64::INFINITY;
             for view in views.iter().take(lags).flatten() {
                 match search_kind(view, kind, freedom, max_residual) {
-                    SearchOutcome::Found(found) => {
-                        return Some(JointInterpretation {
-                            map: found.map.with_base_turned(),
-                            ..found
-                        });
+                    SearchOutcome::Found(found)
+                        if found.residual.combined_m(view.lever_m) < ambiguous_m =>
+                    {
+                        let map = found.map.with_base_turned();
+                        return Some(JointInterpretation { map, ..found });
                     }
-                    SearchOutcome::Ambiguous => return None,
-                    SearchOutcome::Nothing => {}
+                    // At another lag, one may clearly be best.
+                    SearchOutcome::Ambiguous(residual_m) => {
+                        ambiguous_m = ambiguous_m.min(residual_m / MIN_RESIDUAL_RATIO);
+                    }
+                    SearchOutcome::Found(_) | SearchOutcome::Nothing => {}
                 }
+            }
+            if ambiguous_m.is_finite() {
+                return None;
             }
         }
     }

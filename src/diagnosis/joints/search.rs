@@ -57,8 +57,8 @@ pub(super) struct JointInterpretation {
 pub(super) enum SearchOutcome {
     /// Clearly best.
     Found(JointInterpretation),
-    /// Several fit equally well.
-    Ambiguous,
+    /// Several fit equally well, with this residual, m.
+    Ambiguous(f64),
     Nothing,
 }
 
@@ -166,7 +166,7 @@ fn refine_and_select(
     if runner_up.is_some_and(|other| {
         together(other) < MIN_RESIDUAL_RATIO * together(best).max(RESIDUAL_FLOOR_M)
     }) {
-        return SearchOutcome::Ambiguous;
+        return SearchOutcome::Ambiguous(together(best));
     }
     let runner_up_m = runner_up.map(|other| other.residual.m);
     SearchOutcome::Found(JointInterpretation {
