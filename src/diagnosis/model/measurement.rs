@@ -458,6 +458,7 @@ impl PoseObservations<'_> {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {
                 continue;
             };
+            linear.places.push(sweep.q());
             let mut rows = linear.push(&self.residual(k, &predicted.pose));
             let mut set = |column: usize, derivative: Derivative| {
                 rows.set_all(column, self.excluded.mask(derivative));

@@ -1,6 +1,7 @@
 //! Linear least squares under correlated noise.
 
 use super::noise::Noise;
+use super::recurrence::Places;
 use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma, sandwich};
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
@@ -19,6 +20,8 @@ pub(crate) struct Linear {
     design: Vec<f64>,
     /// Upper triangle of `AᵀA` of each kind, computed on first use.
     squares: OnceLock<Vec<DMatrix<f64>>>,
+    /// Of each sample; empty without joints.
+    pub places: Places,
 }
 
 pub(crate) struct Rows<'a> {
@@ -63,6 +66,7 @@ impl Linear {
             floor: floor.to_vec(),
             design: Vec::new(),
             squares: OnceLock::new(),
+            places: Places::default(),
         }
     }
 
@@ -132,20 +136,21 @@ impl Linear {
             }
             subset_of.design.extend_from_slice(&self.design[sample * each..(sample + 1) * each]);
         }
+        subset_of.places = self.places.subset(samples);
         subset_of
     }
 
     /// Weights from the spread of the residuals, assuming white noise.
     pub fn first_weights(&self) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (&Vec<Vec3>, &f64)| Weight {
-            noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
+            noise: Noise::white(robust_sigma(residual).max(floor)),
             robust: vec![1.0; residual.len()],
         };
         self.residual.iter().zip(&self.floor).map(of_kind).collect()
     }
 
     pub fn even_weights(&self) -> Vec<Weight> {
-        let noise = Noise { sigma: 1.0, share: 0.0, rho: 0.0 };
+        let noise = Noise::white(1.0);
         self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
     }
 
@@ -163,7 +168,9 @@ impl Linear {
     pub fn weights_of(&self, residuals: Vec<Vec<Vec3>>) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (Vec<Vec3>, &f64)| {
             let robust = huber(&residual, floor);
-            Weight { noise: Noise::estimate(&residual, &robust, floor), robust }
+            let noise = Noise::estimate(&residual, &robust, floor);
+            let recurrence = self.places.inflation(&residual, &robust, &noise);
+            Weight { noise: Noise { recurrence, ..noise }, robust }
         };
         residuals.into_iter().zip(&self.floor).map(of_kind).collect()
     }
@@ -269,7 +276,8 @@ impl Linear {
         });
         // Innovations after the last sample have no residual.
         for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
-            let Noise { sigma, share, rho } = weights[r / 3].noise;
+            let Noise { sigma, share, rho, .. } = weights[r / 3].noise;
+            let sigma = sigma * weights[r / 3].noise.recurrence_factor();
             let lasting = share * (rho * sigma * weights[r / 3].base_weight()).powi(2);
             add_squares(&mut squares, [reaching], lasting);
         }
@@ -333,7 +341,8 @@ impl Linear {
                 let weight = &weights[r / 3];
                 let Noise { share, rho, .. } = weight.noise;
                 let (row, residual) = (self.row(sample, r), self.residual(sample, r));
-                let weighted = weight.component(sample) * residual;
+                let weighted =
+                    weight.component(sample) * weight.noise.recurrence_factor() * residual;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
                 let parts = white.iter_mut().zip(&mut lasting);
@@ -395,6 +404,7 @@ impl Weight {
 }
 
 /// Normal equations of a model.
+#[derive(Clone)]
 pub(crate) struct Normal {
     /// `Aᵀ W A`.
     pub matrix: DMatrix<f64>,

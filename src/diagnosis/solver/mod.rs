@@ -3,4 +3,5 @@
 pub(crate) mod linear;
 pub(crate) mod minimize;
 pub(crate) mod noise;
+mod recurrence;
 pub(crate) mod robust;

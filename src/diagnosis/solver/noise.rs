@@ -15,12 +15,28 @@ pub(crate) struct Noise {
     pub share: f64,
     /// Correlation of that part per sample, 0 to 1.
     pub rho: f64,
+    /// Inflation by errors that recur with the configuration, in addition to that by autocorrelation.
+    pub recurrence: f64,
 }
 
 impl Noise {
+    /// Independent samples.
+    pub fn white(sigma: f64) -> Self {
+        Self { sigma, share: 0.0, rho: 0.0, recurrence: 0.0 }
+    }
+
     /// Inflation of the variance of a mean (`1 + 2·Σ γ(k)/γ(0)`).
     pub fn inflation(&self) -> f64 {
+        self.inflation_by_time() + self.recurrence
+    }
+
+    fn inflation_by_time(&self) -> f64 {
         1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
+    }
+
+    /// Ratio of the standard deviation of a mean to that under autocorrelation alone.
+    pub fn recurrence_factor(&self) -> f64 {
+        (1.0 + self.recurrence / self.inflation_by_time()).sqrt()
     }
 
     /// Number of independent components of samples with three each.
@@ -45,7 +61,7 @@ impl Noise {
         let variance = weighted_variance(residual, weights);
         let correlations = correlations(residual, weights, variance);
         let (share, rho) = fit_autoregression(&correlations, residual.len());
-        Self { sigma: variance.sqrt().max(floor), share, rho }
+        Self { sigma: variance.sqrt().max(floor), share, rho, recurrence: 0.0 }
     }
 }
 
