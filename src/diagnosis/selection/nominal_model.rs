@@ -228,22 +228,38 @@ impl LinkFrameChanges {
         Self { samples: frames.len(), weights, step, normal, usual }
     }
 
-    /// Complexity penalty: squares in prior standard deviations, plus the log determinant of posterior over
-    /// prior precision, minus that of parameters free without a calibration.
+    /// Complexity penalty with deviations of the likeliest size (MacKay 1992).
     fn price(&self) -> f64 {
-        let Self { step, normal, usual, .. } = self;
+        /// Of the usual deviations.
+        const SIZES: [f64; 5] = [1.0, 0.5, 0.25, 0.125, 0.0625];
+        SIZES.map(|size| self.price_at(size)).into_iter().fold(f64::INFINITY, f64::min)
+    }
+
+    /// For deviations of `size` times the usual ones: squares in prior standard deviations, plus the log determinant of
+    /// posterior over prior precision, minus that of parameters free without a calibration, plus the cost of the larger
+    /// residual.
+    fn price_at(&self, size: f64) -> f64 {
+        let Self { step, usual, .. } = self;
         let all: Vec<usize> = (0..usual.len()).collect();
         let (free, constrained): (Vec<usize>, Vec<usize>) =
             all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
+        let mut normal = self.normal.clone();
+        let mut sizes = usual.clone();
+        for &i in &constrained {
+            sizes[i] *= size;
+            normal.matrix[(i, i)] += sizes[i].powi(-2) - usual[i].powi(-2);
+        }
         let narrowing = |chosen: &[usize]| -> f64 {
-            let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
+            let at = |i: usize, j: usize| normal.matrix[(i, j)] * sizes[i] * sizes[j];
             let n = chosen.len();
             let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
             // 1 is the prior; smaller values are rounding.
             precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
         };
-        let size: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
-        size + narrowing(&all) - narrowing(&free)
+        let squares: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
+        let least_cost = self.normal.cost_after(step) - squares;
+        let cost = normal.cost_after(&normal.full_step());
+        cost - least_cost + narrowing(&all) - narrowing(&free)
     }
 
     /// Twice the log likelihood ratio to a fit with weights `without_change`, both with this fit's noise
