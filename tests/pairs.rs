@@ -212,3 +212,60 @@ fn an_unknown_reference_is_an_error_of_the_call() {
     assert_eq!(trouble.place, "--reference");
     assert!(trouble.what.contains("no topic '/nothing'"), "{}", trouble.what);
 }
+
+/// Path of a body that moves otherwise.
+fn other_body_at(t_s: f64) -> Pose {
+    body_at(1.7 * t_s + 90.0)
+}
+
+#[test]
+fn a_file_whose_poses_do_not_follow_the_others_is_a_warning() {
+    let held = |t_s: f64| if (8.0..32.0).contains(&t_s) { 8.0 } else { t_s };
+    let dithered = |t_s: f64| body_at(t_s + 5.0 * (1e5 * t_s).sin());
+    let faults: [&dyn Fn(f64) -> Pose; 3] = [&|t_s| body_at(held(t_s)), &dithered, &other_body_at];
+    for fault in faults {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut logs = write_pair(folder.path(), body_at, |t_s| in_its_frames(&body_at(t_s)));
+        logs.push(write(&folder.path().join("c.tum"), 70.0, 5, fault));
+        let report = audited(&logs, None);
+        assert_eq!(report.verdict, Verdict::Fail, "{:?}", report.findings);
+        let finding = only_fault(&report, "FRM007");
+        assert_eq!(finding.subject.topic.as_deref(), Some("c"));
+        assert_eq!(finding.evidence.more["why"], "does-not-follow", "{finding:?}");
+    }
+}
+
+#[test]
+fn several_bodies_of_one_file_may_move_differently() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("bodies.csv");
+    let bodies: [(&str, &dyn Fn(f64) -> Pose); 3] = [
+        ("tool", &body_at),
+        ("flange", &|t_s| in_its_frames(&body_at(t_s))),
+        ("person", &other_body_at),
+    ];
+    let columns = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+    let mut text = "time".to_owned();
+    for (name, _) in &bodies {
+        for column in columns {
+            let _ = write!(text, ",{name}_{column}");
+        }
+    }
+    for row in 0..4000 {
+        let t_s = 0.01 * f64::from(row);
+        let _ = write!(text, "\n{t_s:.2}");
+        for pose in bodies.iter().map(|(_, pose_at)| pose_at(t_s)) {
+            for number in xyz_of(&pose).into_iter().chain(xyzw_from_rotation(&pose.rotation)) {
+                let _ = write!(text, ",{number:.6}");
+            }
+        }
+    }
+    fs::write(&log, text).expect("written");
+    let report = audited(&[log], None);
+    assert_eq!(report.verdict, Verdict::Pass, "{:?}", report.findings);
+    assert!(
+        report.findings.iter().all(|finding| finding.code != "FRM007"),
+        "{:?}",
+        report.findings
+    );
+}

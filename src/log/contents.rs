@@ -193,6 +193,8 @@ pub struct Topic {
     pub is_aligned_by_motion: bool,
     /// First and last log time.
     pub span: Option<(Stamp, Stamp)>,
+    /// Number of the file with all its messages, from 1; `None` if several have them.
+    pub file: Option<usize>,
 }
 
 impl Topic {

@@ -186,6 +186,7 @@ impl TopicIntake {
     /// One topic per part of its messages.
     pub(super) fn finish(mut self) -> Vec<Topic> {
         let TopicContent { messages, builder, mut undecodable, spans, .. } = self.content;
+        let file = <[_; 1]>::try_from(spans.as_slice()).ok().map(|[(file, _)]| file);
         let span = spans.into_iter().map(|(_, span)| span).reduce(join);
         let refused = builder.as_ref().map_or(0, Builder::rejected_rows);
         if refused > 0 {
@@ -206,6 +207,7 @@ impl TopicIntake {
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             unusable: useless.clone(),
             span,
+            file,
             ..self.topic.clone()
         };
         parts.into_iter().map(topic).collect()

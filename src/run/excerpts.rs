@@ -225,6 +225,7 @@ mod tests {
             velocity_cells: Vec::new(),
             is_aligned_by_motion: false,
             span: None,
+            file: None,
         }]);
         let clocks = StreamClocks::select(&streams, crate::time::Clock::Header, 5.0);
         Excerpts::select(&streams, &clocks, &SampleFilter::default())

@@ -49,12 +49,15 @@ pub enum NotAuditedReason {
         /// Tool motion by the joints meanwhile, m.
         moved_m: f64,
     },
-    /// Named as the tool, or in a frame of the robot, but its motion is another, or too short to tell.
+    /// Named as the tool, in a frame of the robot, or compared with the reference stream, but its motion is another, or too
+    /// short to tell.
     DoesNotFollow {
         /// Highest correlation of its speed with the tool's. `None` if undetermined.
         correlation: Option<f64>,
-        /// Named as the tool.
+        /// Named as the tool, or stated to be of the reference's body.
         is_named: bool,
+        /// Topic of the reference stream in a log without joint states.
+        reference: Option<String>,
     },
     /// The base moves in its frame, without logged transforms.
     BaseMoves {

@@ -23,6 +23,7 @@ use super::objects::MIN_MOTION_M;
 use super::role::{role_outside_arm, tool_word};
 use super::source_kind::names_tracker;
 use super::stale_end::{moves_within, rows_at_rest};
+use super::trajectory::{Trajectory, are_of_one_body};
 use super::vibration::follow_recorded_positions;
 
 pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
@@ -293,11 +294,18 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
                     .is_some_and(|(arm, source)| source.fk_motion_m(&arm.joints) > MIN_MOTION_M);
                 let is_presumed = run.streams[candidate].role == Role::Candidate { presumed: true };
                 let changes = found.is_some_and(|(_, source)| source.track.changes());
+                let trajectory = found.and_then(|(arm, _)| arm.trajectory.as_ref());
+                // Of two streams that move differently, either may be of another body.
+                let is_of_body = trajectory.is_some_and(|Trajectory { stream, others, .. }| {
+                    others.len() > 1 && are_of_one_body(&run.streams, [*stream, candidate])
+                });
+                let reference = trajectory.map(|one| run.streams[one.stream].topic.clone());
                 run.resolve_candidate(candidate, correlation, follows_otherwise);
                 let Stream { role, topic, .. } = &run.streams[candidate];
-                let is_named = tool_word(topic).is_some();
+                let is_named = is_of_body || tool_word(topic).is_some();
                 if *role == Role::Unassigned && is_moved && (is_named || is_presumed) {
-                    let reason = NotAuditedReason::DoesNotFollow { correlation, is_named };
+                    let reason =
+                        NotAuditedReason::DoesNotFollow { correlation, is_named, reference };
                     unlike.push((NotAudited { stream: candidate, reason }, changes));
                 }
             }

@@ -60,6 +60,8 @@ pub struct Stream {
     pub read_as: Option<String>,
     /// Whether its rows are those of a table file.
     pub is_from_table: bool,
+    /// Number of the file with all its messages, from 1; `None` if several have them.
+    pub file: Option<usize>,
     /// Its table columns, in `[columns]` syntax.
     pub cells: Vec<String>,
     /// Units of poses by the names of their columns, except for numbers that the caller's layout converts.
@@ -226,6 +228,7 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
     let cells: Vec<String> = topic.cells.iter().map(|cell| cell.name.clone()).collect();
     let mut stream = Stream {
         is_from_table,
+        file: topic.file,
         topic: topic.name,
         type_name: topic.type_name,
         role: Role::Ignored,

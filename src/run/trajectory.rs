@@ -11,7 +11,7 @@ use super::streams::Stream;
 use super::velocities::{SmoothedJoint, smooth};
 use crate::geometry::{Rotation, Vec3, xyzw_from_rotation};
 use crate::robot::{FLOATING_COORDINATES, Robot};
-use crate::stream::{JointTrack, Orientations, PoseTrack};
+use crate::stream::{Columns, JointTrack, Orientations, PoseTrack};
 
 /// A pose stream with which others are compared.
 #[derive(Clone, Debug)]
@@ -24,6 +24,28 @@ pub struct Trajectory {
     pub others: Vec<usize>,
     /// Why it is the reference.
     pub why: String,
+}
+
+/// Whether the caller or the log states that two pose streams are of one body: both name the same child frame, or each is the
+/// only pose stream of its file.
+///
+/// Motion cannot decide this, because a stream with a large error and one of another body both move otherwise. Topics of one
+/// log do not decide it either: a tracking system publishes one topic per body, with common prefix, type and rate. But their
+/// child frames name the bodies, and a caller selects files one by one, to compare them.
+pub(super) fn are_of_one_body(streams: &[Stream], pair: [usize; 2]) -> bool {
+    let [first, second] = pair.map(|index| &streams[index]);
+    let bodies = [first, second].map(|stream| stream.child_frame_id.as_str());
+    if !bodies.contains(&"") {
+        return bodies[0] == bodies[1];
+    }
+    let is_alone = |stream: &Stream| {
+        let is_of_file = |other: &&Stream| {
+            other.file == stream.file
+                && matches!(other.columns, Some(Columns::Poses(_) | Columns::Array(_)))
+        };
+        stream.file.is_some() && streams.iter().filter(is_of_file).count() == 1
+    };
+    is_alone(first) && is_alone(second)
 }
 
 impl Arm {

@@ -110,15 +110,18 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 /// A stream that does not move like the tool may be of another body, or of the tool with a large fault: inconclusive.
 fn judge_not_following(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Option<SubjectResult> {
-    let is_other = |why: &NotAuditedReason| matches!(why, NotAuditedReason::DoesNotFollow { .. });
-    stream.iter().any(is_other).then(|| {
-        let why = format!(
-            "not compared: its motion does not show that it is the tool's; set role = \"pose\" or role = \"ignored\" in \
-             [stream.\"{}\"] of poseaudit.toml",
-            stream.topic(),
-        );
-        stream.judged(Outcome::Inconclusive(why))
-    })
+    let not_following = |why: &NotAuditedReason| match why {
+        NotAuditedReason::DoesNotFollow { reference, .. } => Some(reference.clone()),
+        _ => None,
+    };
+    let reference = stream.iter().find_map(not_following)?;
+    let whose = reference.map_or("the tool's".to_owned(), |of| format!("of the body of '{of}'"));
+    let why = format!(
+        "not compared: its motion does not show that it is {whose}; set role = \"pose\" or role = \"ignored\" in \
+         [stream.\"{}\"] of poseaudit.toml",
+        stream.topic(),
+    );
+    Some(stream.judged(Outcome::Inconclusive(why)))
 }
 
 /// Without a model there is no FK.

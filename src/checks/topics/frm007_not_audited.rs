@@ -19,7 +19,9 @@ rule! {
     /// - `scene-objects`: it rests while the joints move the tool, and moves with the tool otherwise, if at all. It is the
     ///   pose of an object (info).
     /// - `does-not-follow`: it is named as the tool, or is in a frame of the robot (info), but moves otherwise, or too
-    ///   briefly to tell. MDL001 is then inconclusive.
+    ///   briefly to tell. MDL001 is then inconclusive. In a log without joint states: it moves otherwise than the `reference`
+    ///   stream. That is a warning if other streams move like the reference, and the child frames are equal, or each
+    ///   stream has a file of its own.
     /// - `other-frames`: some poses are in frames without a transform to the arm.
     /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
     /// - `other-arm`: its name or frames are one arm's, but its poses follow another (an error).
@@ -38,7 +40,7 @@ rule! {
     /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),
     /// a joint that cannot be at 0 (`impossible`), the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the arm
     /// by name (`named`) and by motion (`arm`), the `correlation` of its speed with the tool's, the
-    /// `frames`, the `bodies`, `missing` kinematics, or the `joints`.
+    /// topic of the `reference`, the `frames`, the `bodies`, `missing` kinematics, or the `joints`.
     ///
     /// ## How to fix
     /// Set `frame_id` to the frame of the poses (the base, not the tool). Set the orientation, or publish a
@@ -46,7 +48,8 @@ rule! {
     /// Record every robot's description, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
-    /// Set the role of a person or another body that moves in a frame of the robot to `ignored`. Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
+    /// Set the role of a person or another body that moves in a frame of the robot to `ignored`, and leave out files of other
+    /// bodies. Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
     /// also reported. Ignore the rule for their topic. A constant orientation, as of a gantry or SCARA that
     /// never tilts its tool, is reported only if the joints rotate the tool.
     FRM007 {
@@ -182,19 +185,35 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("bodies", json!(bodies)), ("moved_m", json!(moved_m))],
         },
-        NotAuditedReason::DoesNotFollow { correlation, .. } => NotAuditedReport {
+        NotAuditedReason::DoesNotFollow { correlation, reference, .. } => NotAuditedReport {
             why: "does-not-follow",
-            title: "pose does not follow the arm",
-            message: match correlation {
-                Some(correlation) => format!(
-                    "does not move like the tool by FK (speed correlation {correlation:.2}); not audited"
-                ),
-                None => "the motion does not show whether it follows the arm; not audited".to_owned(),
+            title: match reference {
+                Some(_) => "pose does not follow the reference",
+                None => "pose does not follow the arm",
             },
-            fix: "check that it is of this arm, and of the same time as the joint states; if it is not of the tool, set its \
-                  role in the config file to 'ignored'"
-                .to_owned(),
-            evidence: vec![("correlation", json!(correlation))],
+            message: {
+                let topic = reference.as_ref().map(|topic| format!("'{topic}'"));
+                match correlation {
+                    Some(correlation) => format!(
+                        "does not move like {} (speed correlation {correlation:.2}); not audited",
+                        topic.as_deref().unwrap_or("the tool by FK")
+                    ),
+                    None => format!(
+                        "the motion does not show whether it follows {}; not audited",
+                        topic.as_deref().unwrap_or("the arm")
+                    ),
+                }
+            },
+            fix: match reference {
+                Some(_) => "check its stamps, and whether it froze or lost track; if it is of another body, set its role in the \
+                            config file to 'ignored'",
+                None => "check that it is of this arm, and of the same time as the joint states; if it is not of the tool, set \
+                         its role in the config file to 'ignored'",
+            }
+            .to_owned(),
+            evidence: std::iter::once(("correlation", json!(correlation)))
+                .chain(reference.as_ref().map(|topic| ("reference", json!(topic))))
+                .collect(),
         },
         NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
             why: "base-moves",

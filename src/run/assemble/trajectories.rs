@@ -13,7 +13,7 @@ use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
 use crate::run::role::{Role, array_role, may_be_poses, target_of_camera};
 use crate::run::streams::Stream;
-use crate::run::trajectory::{Trajectory, continuous_quaternions};
+use crate::run::trajectory::{Trajectory, are_of_one_body, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 use crate::stream::{Columns, Orientations, PoseTrack, sample_noise};
 
@@ -86,7 +86,8 @@ impl Candidate {
 
 impl Assembly<'_> {
     /// Makes a pose stream the reference of the others: the caller's, else the one with the smallest errors that
-    /// another follows. Without a choice of the caller, of more than two streams those that do not follow are of other bodies.
+    /// another follows. Without a choice of the caller, of more than two streams those that do not follow are of other bodies,
+    /// except if they are stated to be of the same body; see [`are_of_one_body`].
     ///
     /// # Errors
     /// If the caller's reference is not a stream of poses with rotations that change.
@@ -114,7 +115,10 @@ impl Assembly<'_> {
                 return None;
             }
             if is_choice {
-                arm.trajectory.as_mut()?.others = followers;
+                let Trajectory { stream, others, .. } = arm.trajectory.as_mut()?;
+                others.retain(|other| {
+                    followers.contains(other) || are_of_one_body(&self.streams, [*stream, *other])
+                });
             }
             Some(arm)
         };
