@@ -23,7 +23,7 @@ pub(super) fn are_collinear(model: &SelectedModel, one: Cause, other: Cause) -> 
     let state = &model.state;
     let mut both: Vec<usize> = one.parameters(state).chain(other.parameters(state)).collect();
     both.sort_unstable();
-    model.linear.normal.separation(&[], &both) < MIN_CAUSE_SEPARATION
+    model.linear.separation(&both) < MIN_CAUSE_SEPARATION
 }
 
 /// Causes that explain the log as well in its place.
@@ -77,4 +77,37 @@ fn frame_size(twist: &[f64]) -> f64 {
     let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
     let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
     if angle > 1e-5 { angle } else { length }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion::{arm, pose_track, tip_stream};
+    use crate::test_random::Lcg;
+    use crate::{Confounder, PoseStream, diagnose_arm};
+    use ground::geometry::{Vec3, pose, rotation_from_rotvec};
+
+    #[test]
+    fn unknown_frames_hide_the_zeros_of_both_ends_whatever_their_axes() {
+        const NOISE: f64 = 5e-4;
+        let (joints, chain) = arm();
+        let world = pose([0.4, -1.1, 0.7], rotation_from_rotvec(Vec3::new(0.1, 0.2, 1.3)));
+        // The last joint turns the marker about one of its axes, or nearly so.
+        for turn_rad in [0.0, 0.7, 1.5, 1.56, 1.57] {
+            let marker = rotation_from_rotvec(Vec3::new(turn_rad, 0.0, 0.0));
+            let marker = pose([0.02, 0.01, 0.06], marker);
+            let mut random = Lcg::new();
+            let noisy = |q: &[f64]| {
+                let pose = world * chain.forward(q) * marker;
+                let turn = rotation_from_rotvec(random.triple(NOISE).into());
+                (pose.translation.vector + Vec3::from(random.triple(NOISE)), turn * pose.rotation)
+            };
+            let track = pose_track(&joints.t_s, joints.q.chunks(6).map(noisy));
+            let stream = PoseStream { reference_known: false, ..tip_stream(&track, &chain) };
+            let offsets = diagnose_arm(&joints, &[stream], 1.0).joints.offsets;
+            let [first, last] = [0, 5].map(|joint: usize| &offsets[joint].confounders);
+            let has_reference = first.iter().any(|it| matches!(it, Confounder::Reference(0, _)));
+            let has_tool = last.iter().any(|it| matches!(it, Confounder::Tool(0, _)));
+            assert!(has_reference && has_tool, "{turn_rad}: {first:?}, {last:?}");
+        }
+    }
 }

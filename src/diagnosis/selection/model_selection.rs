@@ -164,6 +164,16 @@ impl Linearized {
         self.equations.streams.iter().map(|stream| stream.own_part(&step)).collect()
     }
 
+    /// [`Normal::separation`] of parameters that have an effect. Without damping, which counts as much as the samples if their
+    /// noise is strongly correlated.
+    pub fn separation(&self, parameters: &[usize]) -> f64 {
+        let damping = &self.equations.prior;
+        let information = &self.normal.matrix - damping;
+        let has_effect = |at: &usize| information[(*at, *at)] > damping[(*at, *at)];
+        let effective: Vec<usize> = parameters.iter().copied().filter(has_effect).collect();
+        Normal { matrix: information, ..Normal::zeros(0) }.separation(&[], &effective)
+    }
+
     /// Noise of a stream's positions and rotations.
     pub fn noise_of(&self, stream: usize) -> [Noise; 2] {
         [0, 1].map(|kind| self.equations.streams[stream].weights[kind].noise)
