@@ -292,7 +292,8 @@ fn detect_in_series(
         repeated: count - moving.len(),
         rows_hz: count as f64 / span_s,
         values_hz: moving.len() as f64 / span_s,
-        mean_age_s: age_s / count as f64,
+        // A value is new between two rows, on average half a row before the first that has it.
+        mean_age_s: (age_s + 0.5 * span_s) / count as f64,
         piece: series.piece,
         new_rows: Vec::new(),
     };
@@ -373,6 +374,9 @@ mod tests {
             let found = detect(&columns).expect("rows are held");
             assert!((found.share() - share).abs() < 0.02, "{row_ms} {read_ms}: {}", found.share());
             assert!((found.values_hz - 1e3 / read_ms as f64).abs() < 0.05 * found.values_hz);
+            let age_ms = 1e3 * found.mean_age_s;
+            let expected_ms = 0.5 * read_ms as f64;
+            assert!((age_ms - expected_ms).abs() < 0.08 * read_ms as f64, "{read_ms}: {age_ms}");
             let mut rows: Rows = (0..columns.times.len())
                 .map(|row| (Stamp::from_nanos(columns.times.header[row]), row))
                 .collect();

@@ -21,7 +21,7 @@ rule! {
     /// ## Evidence
     /// - `repeated` of `rows` in motion repeat the previous row.
     /// - `rows_hz`: row rate; `values_hz`: rate of new values.
-    /// - `mean_age_s`: mean age of a row's value.
+    /// - `mean_age_s`: mean age of a row's value, if it was new half a row before its first row.
     /// - `step_error_s`: rms difference between the steps of the stamps and of the values. The velocities of
     ///   all joints give the steps of the values. Reported if these steps explain at least four fifths of
     ///   the velocities' squared error, which VEL001 would report otherwise.
