@@ -34,7 +34,7 @@ rule! {
     ///   added. In some wrists, one joint's gear rotates the next joint by a few percent.
     /// - `turns`: of a joint off by a quarter, half or whole turn. Only the model's limits, exceeded
     ///   throughout the run, show a whole turn, if the unit of the positions is known; the poses show the
-    ///   others.
+    ///   others, and `indistinguishable` lists the joint's zero offset (ZER001), which is the same there.
     /// - `changes`: times and scales of changes. The value is then the size of the change (`from`, `to`,
     ///   `change_ns`).
     ///

@@ -3,6 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::zer001_joint_zero::{self, ZER001};
+use crate::checks::confounders::{confounder_alternative, joint_zero_alternative};
 use crate::checks::decision::{Decision, decide};
 use crate::checks::{Case, SubjectResult, residual_attribution};
 use crate::diagnosis::Measured;
@@ -82,16 +83,22 @@ fn turn_result(
         ),
         TurnEvidence::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
     };
-    let effect_m = match evidence {
-        TurnEvidence::InPoses => arm.diagnosis.offsets.get(joint).map(|offset| offset.effect_m),
+    let in_poses = match evidence {
+        TurnEvidence::InPoses => arm.diagnosis.offsets.get(joint),
         TurnEvidence::InLimits => None,
     };
+    let effect_m = in_poses.map(|found| found.effect_m);
+    // A zero of this amount is the same numbers.
+    let as_zero = in_poses.map(|_| joint_zero_alternative(arm, joint, offset.value));
+    let confounders = in_poses.into_iter().flat_map(|found| &found.confounders);
+    let confounders = confounders.map(|it| confounder_alternative(arm, it, Unit::Radian));
     let fault = Fault {
         severity: Severity::Error,
         cause: Cause::JointZero { offset: *offset, is_prismatic: false },
         title: "joint is off by turns",
         message,
         evidence: Evidence {
+            indistinguishable: as_zero.into_iter().chain(confounders).collect(),
             effect: effect_m.map(|m| format!("{} at full reach", Unit::Metre.show(m))),
             effect_m,
             ..Evidence::default()
@@ -128,6 +135,11 @@ mod tests {
                 panic!("{finding:?}")
             };
             assert_eq!(joint.turns, Some(turns));
+            let [zero] = finding.evidence.indistinguishable.as_slice() else {
+                panic!("{finding:?}")
+            };
+            assert_eq!((zero.code, zero.subject.joint.as_deref()), ("ZER001", Some("lift")));
+            assert_eq!(zero.estimate.as_ref().and_then(Estimate::value), Some(offset));
             assert!(evaluate_rule(&ZER001, &run).1.is_empty());
         }
         // Two degrees off a quarter turn is a zero offset.
