@@ -193,7 +193,7 @@ fn sentences(mount: &Rotation, link: &str) -> Vec<String> {
     (0..AXES.len()).map(sentence).collect()
 }
 
-/// `along tool0 -y`, or between the two nearest link axes.
+/// `along tool0 -y`, or by how much it is off the nearest link axis.
 fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
@@ -201,11 +201,10 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let [first, second, _] =
         nearest.map(|along| format!("{link} {}", signed_axis(along, cosines[along])));
     let deviation_rad = cosines[nearest[0]].abs().min(1.0).acos();
-    if deviation_rad <= MAX_AXIS_ANGLE_RAD {
+    if deviation_rad < THRESHOLD.warning {
         return format!("along {first}");
     }
-    let deviation_deg = deviation_rad.to_degrees();
-    format!("between {first} and {second}, {deviation_deg:.0}° off the first")
+    format!("{:.0}° off {first} towards {second}", deviation_rad.to_degrees())
 }
 
 /// Angle to the logged mount; to the mount at the start if the log has none.
@@ -308,9 +307,11 @@ mod tests {
             ]
         );
         let tilted = sentences(&mount([0.0, 32.0, 0.0]), "tool0");
-        assert_eq!(tilted[0], "imu x points between tool0 x and tool0 -z, 32° off the first");
+        assert_eq!(tilted[0], "imu x points 32° off tool0 x towards tool0 -z");
         assert_eq!(tilted[1], "imu y points along tool0 y");
-        assert!(sentences(&mount([0.0, 9.0, 0.0]), "tool0")[0].ends_with("along tool0 x"));
+        let slightly = |degrees: f64| sentences(&mount([0.0, 0.0, degrees]), "tool0").remove(0);
+        assert_eq!(slightly(8.0), "imu x points 8° off tool0 x towards tool0 y");
+        assert_eq!(slightly(0.4), "imu x points along tool0 x");
     }
 
     #[test]
