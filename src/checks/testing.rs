@@ -217,6 +217,7 @@ fn commands() -> ReferenceEvidence {
     ReferenceEvidence {
         is_of_joints: false,
         is_tip_declared: true,
+        is_of_reference_body: false,
         is_frame_declared: true,
         tip_poses: vec![
             tip_pose_source("FK of the joint states", TipPoseKind::Kinematics),

@@ -24,6 +24,7 @@ use crate::finding::{Span, Subject, Unit};
 use crate::geometry::{Vec3, mean_vector};
 use crate::run::{
     Arm, CompetingModel, ImuSource, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions,
+    are_of_one_body,
 };
 use crate::stream::{Columns, JointTrack, Orientations};
 
@@ -394,6 +395,9 @@ impl PoseEvidenceOfArm<'_> {
             reference_known: source.reference_known,
             tip: source.chain.tip_name().to_owned(),
             is_tip_declared: source.tip_named,
+            is_of_reference_body: arm.trajectory.as_ref().is_some_and(|trajectory| {
+                are_of_one_body(&run.streams, [trajectory.stream, source.stream])
+            }),
             source_kind: stream.source_kind.unwrap_or(PoseSourceKind::Unknown),
             euler,
             labels: stream.labels.filter(|_| is_undeclared),

@@ -105,6 +105,7 @@ pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{RoleSetting, TopicSettings};
 pub use trajectory::Trajectory;
+pub(crate) use trajectory::are_of_one_body;
 pub use unwrap::WrappedJoint;
 pub use velocities::VelocitySource;
 

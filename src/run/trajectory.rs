@@ -32,7 +32,7 @@ pub struct Trajectory {
 /// Motion cannot decide this, because a stream with a large error and one of another body both move otherwise. Topics of one
 /// log do not decide it either: a tracking system publishes one topic per body, with common prefix, type and rate. But their
 /// child frames name the bodies, and a caller selects files one by one, to compare them.
-pub(super) fn are_of_one_body(streams: &[Stream], pair: [usize; 2]) -> bool {
+pub(crate) fn are_of_one_body(streams: &[Stream], pair: [usize; 2]) -> bool {
     let [first, second] = pair.map(|index| &streams[index]);
     let bodies = [first, second].map(|stream| stream.child_frame_id.as_str());
     if !bodies.contains(&"") {

@@ -76,6 +76,9 @@ rule! {
     /// A nominal description of a calibrated arm has a residual of 1–10 mm, from deviations of many links; the
     /// log is then not at fault.
     /// Slowly varying tracker noise counts as residual.
+    ///
+    /// Without joint states, several streams of which none moves rigidly with the reference may be of separate
+    /// bodies. They are inconclusive, unless their child frames are equal or each has a file of its own.
     MDL001 {
         name: "unexplained-residual",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle, imu::GAIN]),
@@ -166,11 +169,15 @@ impl AttributedStream<'_> {
         }
     }
 
-    /// Nothing but their motion shows that two pose streams are of one body.
-    fn are_separate_bodies(&self) -> bool {
+    /// Whether a pose stream and its reference may be of separate bodies: only their motion shows that they are of one, and
+    /// the residual is large, or none of several streams moves rigidly with the reference.
+    fn are_separate_bodies(&self, all: &[AttributedStream]) -> bool {
         let diagnosis = &self.stream.diagnosis;
+        let is_choice = all.len() > 1 && !self.stream.is_of_reference_body;
         self.subject.reference.is_some()
-            && (diagnosis.residual.is_err() || diagnosis.is_far_from_fk())
+            && (diagnosis.residual.is_err()
+                || diagnosis.is_far_from_fk()
+                || is_choice && all.iter().all(|stream| stream.residual().is_some()))
     }
 
     fn is_mismatched(&self) -> bool {
@@ -353,7 +360,7 @@ fn outcome(
                 None => nominal(error, *link_m),
             })
         }
-        Attribution::Unexplained(residual) if attributed.are_separate_bodies() => {
+        Attribution::Unexplained(residual) if attributed.are_separate_bodies(all) => {
             Outcome::Inconclusive(format!(
                 "the streams do not move like one rigid body: off by {} at best, by two separate bodies or an unknown \
                  error; name the stream to compare with by --reference, and exclude poses of other bodies",

@@ -154,3 +154,24 @@ fn an_unexplained_residual_withdraws_tool_and_radial_scale() {
     };
     assert_eq!(found(0.03), ["MDL001"]);
 }
+
+#[test]
+fn bodies_of_which_none_moves_rigidly_with_the_reference_are_separate() {
+    let severity = |other_m: f64, is_of_reference_body: bool| {
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
+        (arm.tf, arm.is_trajectory) = (None, true);
+        let mut other = arm.poses[0].clone();
+        other.subject.topic = Some("/other".to_owned());
+        arm.poses.push(other);
+        for (stream, off_m) in arm.poses.iter_mut().zip([0.03, other_m]) {
+            stream.subject.reference = Some("/reference".to_owned());
+            stream.proof = Ok(residual_check_of(off_m, 0.0));
+            stream.is_of_reference_body = is_of_reference_body;
+        }
+        evaluate_rule(&MDL001, &run).1.first().map(|finding| finding.severity)
+    };
+    assert_eq!(severity(0.02, false), None);
+    assert_eq!(severity(1e-5, false), Some(Severity::Error));
+    assert_eq!(severity(0.02, true), Some(Severity::Error));
+}
