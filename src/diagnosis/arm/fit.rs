@@ -59,18 +59,17 @@ pub(super) fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -
     };
     let timings: Vec<Option<Timing>> = (0..streams.len()).map(timing).collect();
     let is_hidden = |cause: &Cause| matches!(*cause, Cause::Skew(s) if timings[s].is_some_and(|it| it.is_skewed));
-    let mut candidates = fitted.candidates;
-    let (hidden, optional): (Vec<Cause>, Vec<Cause>) = candidates
-        .optional
-        .into_iter()
-        .partition(|cause| is_hidden(cause) && !fitted.model.causes.contains(cause));
-    candidates.optional = optional;
+    let candidates = fitted.candidates;
+    let unselected =
+        candidates.optional.iter().filter(|cause| !fitted.model.causes.contains(cause));
+    let hidden: Vec<Cause> = unselected.copied().filter(is_hidden).collect();
     let mut model = match hidden.is_empty() {
         true => fitted.model,
         false => {
-            candidates.always.extend(&hidden);
+            let mut with_hidden = candidates.retaining(|cause| !hidden.contains(cause));
+            with_hidden.always.extend(&hidden);
             let start = State { offsets, streams };
-            let mut model = select_model(observations, start, &candidates);
+            let mut model = select_model(observations, start, &with_hidden);
             model.causes.extend(hidden);
             model.causes.sort_unstable();
             model
@@ -514,10 +513,41 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
 
 #[cfg(test)]
 mod tests {
+    use super::{Cause, fit, with_timings};
+    use crate::arm::decode_joints;
+    use crate::encodings::decoded_stream::decode_stream;
+    use crate::encodings::position::PositionEncodingEstimate;
     use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
-    use crate::{ArmDiagnosis, Measured, diagnose_arm};
-    use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
+    use crate::{ArmDiagnosis, JointEncoding, Measured, diagnose_arm};
+    use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_from_rotvec};
+
+    #[test]
+    fn a_hidden_skew_is_free_once() {
+        const SKEW: f64 = 1e-4;
+        let (joints, chain) = arm();
+        let deviating = deviating_chain(4e-4);
+        let base = pose([0.01, -0.02, 0.005], Rotation::identity());
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).map(|q| {
+            let pose = base * deviating.forward(q);
+            (pose.translation.vector + Vec3::from(random.triple(2e-5)), pose.rotation)
+        });
+        let stamps: Vec<f64> = joints.t_s.iter().map(|t_s| t_s * (1.0 + SKEW)).collect();
+        let track = pose_track(&stamps, poses);
+        let stream = tip_stream(&track, &chain);
+        let corrected = decode_joints(&joints, &[stream], &JointEncoding::default());
+        let encoding =
+            PositionEncodingEstimate::estimate(corrected.approximate_track(), &stream, 1.0);
+        let decoded = decode_stream(&corrected, &stream, &encoding).expect("a stream");
+        let observations = [&decoded.observations];
+        let mut fitted = fit(&[&decoded], &observations, &corrected).expect("a fit");
+        // As if the selection had missed it.
+        fitted.model.causes.retain(|cause| *cause != Cause::Skew(0));
+        let fitted = with_timings(fitted, &observations);
+        let free = fitted.candidates.free(&fitted.model.causes);
+        assert_eq!(free.iter().filter(|cause| **cause == Cause::Skew(0)).count(), 1);
+    }
 
     /// Diagnosis of a deviating arm that moves by a few degrees, with an elbow zero and a tool.
     fn diagnosed(link_m: f64, zero_rad: f64, tool: &Pose) -> ArmDiagnosis {
