@@ -595,6 +595,38 @@ mod tests {
         }
     }
 
+    /// A motion of one joint shows little more than a constant offset, which several zeros explain as well as small link
+    /// deviations do.
+    #[test]
+    fn zeros_do_not_replace_small_link_deviations_while_one_joint_moves() {
+        let (mut joints, chain) = arm();
+        let pose = [0.3, -1.2, 1.5, -1.9, -1.6, 0.2];
+        for (row, (q, qd)) in joints.q.chunks_mut(6).zip(joints.qd.chunks_mut(6)).enumerate() {
+            let angle = 0.5 * (joints.t_s[row]).sin();
+            q.copy_from_slice(&pose);
+            q[5] += angle;
+            qd.fill(0.0);
+            qd[5] = 0.5 * (joints.t_s[row]).cos();
+        }
+        for (link_m, zero_rad) in [(3e-5, 1e-3), (5e-5, 2e-3), (1e-4, 1e-3)] {
+            let deviating = deviating_chain(link_m);
+            let mut random = Lcg::new();
+            let poses = joints.q.chunks(6).map(|q| {
+                let mut q = q.to_vec();
+                q[0] += zero_rad;
+                let pose = deviating.forward(&q);
+                let noise = rotation_from_rotvec(random.triple(2e-3).into());
+                (pose.translation.vector + Vec3::from(random.triple(1e-3)), noise * pose.rotation)
+            });
+            let track = pose_track(&joints.t_s, poses);
+            let found = diagnose_arm(&joints, &[tip_stream(&track, &chain)], 1.0);
+            for zero in found.joints.offsets.iter().filter(|zero| zero.is_chosen) {
+                let value = zero.offset.as_ref().expect("a zero").value;
+                assert!(value.abs() < 5e-3, "{link_m}: {:?}", found.joints.offsets);
+            }
+        }
+    }
+
     /// Larger links than usual could explain both.
     #[test]
     fn a_radial_scale_is_found_beside_a_zero_of_the_wrist() {

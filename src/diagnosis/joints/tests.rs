@@ -41,7 +41,7 @@ fn view<'a>(
 fn find_map(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
     match search_kind(view, kind, freedom, MOST) {
         SearchOutcome::Found(find_map) => find_map.map,
-        SearchOutcome::Ambiguous => panic!("several ways fit"),
+        SearchOutcome::Ambiguous(_) => panic!("several ways fit"),
         SearchOutcome::Nothing => panic!("nothing fits"),
     }
 }
