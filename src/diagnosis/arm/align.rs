@@ -1,7 +1,5 @@
 use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::{
-    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState,
-};
+use crate::model::measurement::{ExcludedComponents, PoseObservations, Prediction, StreamState};
 use crate::samples::sampling::as_rotations;
 use crate::selection::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
@@ -30,19 +28,20 @@ pub(super) fn align(
         ..*observations
     };
     let zero = vec![0.0; recorded.dof];
-    let (mut sweep, mut truth_sweep) =
-        (PredictionBuffers::new(&as_recorded), PredictionBuffers::new(observations));
     let StreamState { latency_s, skew, .. } = *stream_state;
     let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
+    let mut truths = observations.predictor(&truth_state, &model.state.offsets);
+    let mut recorded_fk = as_recorded.predictor(&recorded_state, &zero);
     let mut aligned = AlignedSamples::default();
     let rotations = as_rotations(&stream.track.orientation);
     let mut source = 0;
     for k in 0..observations.len() {
-        let truth = observations.pose_at(k, &truth_state, &model.state.offsets, &mut truth_sweep);
-        let fk = as_recorded.pose_at(k, &recorded_state, &zero, &mut sweep);
-        let (Some(truth), Some(fk)) = (truth, fk) else {
+        let (Some(Prediction { jacobian, q, .. }), Some(fk)) =
+            (truths.at(k), recorded_fk.pose_at(k))
+        else {
             continue;
         };
+        let truth = jacobian.pose;
         while stream.track.t_s[source] < observations.t_s[k] {
             source += 1;
         }
@@ -61,7 +60,7 @@ pub(super) fn align(
         aligned.fk.push(fk);
         aligned.corrected.push(correction.apply(&decoded_pose));
         aligned.fk_at_truth.push(truth);
-        aligned.q_at_truth.extend_from_slice(truth_sweep.q());
+        aligned.q_at_truth.extend_from_slice(q);
     }
     aligned
 }
@@ -80,8 +79,6 @@ pub(super) fn fk_at_latency(
     let t_s = aligned.t_s.iter().map(|t_s| t_s - late_s(*t_s)).collect();
     let observations =
         PoseObservations { t_s, xyz: Vec::new(), rotation: Vec::new(), ..decoded.observations };
-    let mut sweep = PredictionBuffers::new(&observations);
-    (0..aligned.t_s.len())
-        .map(|row| observations.pose_at(row, &state, &model.state.offsets, &mut sweep))
-        .collect()
+    let mut predictor = observations.predictor(&state, &model.state.offsets);
+    (0..aligned.t_s.len()).map(|row| predictor.pose_at(row)).collect()
 }

@@ -11,9 +11,7 @@ use super::rotation::{
 use crate::frames::position_fit::spread;
 use crate::joints::CorrectedJoints;
 use crate::latency::correlation::LagPeak;
-use crate::model::measurement::{
-    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
-};
+use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, check_sample_count, slow_samples};
 use crate::{
     AxesError, EncodingEstimate, EstimateResult, LastTurn, NotObservable, PoseStream, UnitResiduals,
@@ -301,12 +299,12 @@ fn choose_branches(
     lag_s: f64,
     offsets: &[f64],
 ) {
-    let mut sweep = PredictionBuffers::new(observations);
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
+    let mut predictor = observations.predictor(&state, offsets);
     let after = interpretation.corrections();
     let decode = |k: usize| {
-        let fk = observations.pose_at(k, &state, offsets, &mut sweep)?;
+        let fk = predictor.pose_at(k)?;
         let rotation = match fit {
             Some(EncodingFit { encoding, reference, tool, .. }) => {
                 let expected = reference * fk.rotation * tool;

@@ -2,9 +2,7 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
-use crate::model::measurement::{
-    PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
-};
+use crate::model::measurement::{PoseObservations, StreamState, pose_of_twist, twist_of};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
@@ -86,14 +84,11 @@ fn pose_pairs(
 ) -> (Vec<Pose>, Vec<Pose>) {
     let identity = Pose::identity();
     let state = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let mut sweep = PredictionBuffers::new(observations);
-    observations
-        .rows(INITIAL_GUESS_SAMPLES)
-        .filter_map(|k| {
-            let fk = observations.pose_at(k, &state, offsets, &mut sweep)?;
-            Some((fk, pose(observations.xyz[k].into(), observations.rotation[k])))
-        })
-        .unzip()
+    let mut predictor = observations.predictor(&state, offsets);
+    let pair = |k: usize| {
+        Some((predictor.pose_at(k)?, pose(observations.xyz[k].into(), observations.rotation[k])))
+    };
+    observations.rows(INITIAL_GUESS_SAMPLES).filter_map(pair).unzip()
 }
 
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {

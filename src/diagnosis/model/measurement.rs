@@ -221,24 +221,11 @@ impl State {
     }
 }
 
-struct Predicted {
-    base_from_link: Pose,
-    /// `base_from_link · tool`, scaled.
-    in_base: Pose,
-    pose: Pose,
-    moving: bool,
-}
-
-impl Predicted {
-    fn jacobian<'a>(&self, link: &'a [[f64; 6]], stream: &StreamState) -> PoseJacobian<'a> {
-        let mut jacobian =
-            PoseJacobian::new(link, &stream.reference, &self.base_from_link, &stream.tool);
-        jacobian.pose = self.pose;
-        jacobian
-    }
-}
-
-pub(crate) struct PredictionBuffers<'a> {
+/// Predicts samples of a stream in one state; fastest in their order.
+pub(crate) struct Predictor<'a> {
+    observations: &'a PoseObservations<'a>,
+    stream: &'a StreamState,
+    offsets: &'a [f64],
     joints: JointSequence<'a>,
     q: Vec<f64>,
     /// Per joint, then 1 for a moving base.
@@ -247,30 +234,64 @@ pub(crate) struct PredictionBuffers<'a> {
     jacobian: Vec<[f64; 6]>,
 }
 
-impl<'a> PredictionBuffers<'a> {
-    pub fn new(observations: &PoseObservations<'a>) -> Self {
-        let dof = observations.columns.len();
-        let moves = usize::from(observations.moving_frame.is_some());
-        Self {
-            joints: observations.joints.sequence(),
-            q: vec![0.0; dof],
-            qd: vec![1.0; dof + moves],
-            jacobian: vec![[0.0; 6]; dof + moves],
-        }
-    }
-
-    /// Joint positions of the last prediction, in chain order.
-    pub fn q(&self) -> &[f64] {
-        &self.q
-    }
-}
-
 /// Prediction of one sample with its derivatives.
-pub(crate) struct LinearPrediction<'a> {
+pub(crate) struct Prediction<'a> {
     pub jacobian: PoseJacobian<'a>,
     /// Joint positions, and velocities as the columns of `jacobian`, in chain order.
     pub q: &'a [f64],
     pub qd: &'a [f64],
+    /// Positions of all joints of the track.
+    track_q: &'a [f64],
+    /// Position in the base, scaled.
+    in_base: Vec3,
+    /// Whether a joint or the base moves. At rest, the latency has no effect.
+    is_moving: bool,
+}
+
+impl<'a> Predictor<'a> {
+    /// `None` if joint states or transforms do not cover sample `k`.
+    pub fn at(&mut self, k: usize) -> Option<Prediction<'_>> {
+        let Self { observations, stream, offsets, joints, q, qd, jacobian } = self;
+        let stamp = observations.t_s[k];
+        let truth = stamp - stream.latency_s - stream.skew * (stamp - observations.middle_s);
+        let (track_q, track_qd) = joints.at(truth)?;
+        let mut is_moving = false;
+        for (i, &column) in observations.columns.iter().enumerate() {
+            (q[i], qd[i]) = (track_q[column] + offsets[column], track_qd[column]);
+            for (at, by) in observations.gains_of(column) {
+                let gain = offsets.get(at).unwrap_or(&0.0);
+                q[i] += gain * track_q[by];
+                qd[i] += gain * track_qd[by];
+            }
+            is_moving |= qd[i].abs() > observations.rest_speeds[column];
+        }
+        let (of_joints, of_base) = jacobian.split_at_mut(q.len());
+        let mut base_from_link = observations.chain.forward_with_jacobian(q, of_joints);
+        if let Some(frame) = observations.moving_frame {
+            let base = frame.base_at(stamp, truth)?;
+            let [linear, angular] = frame.base_velocity(truth)?;
+            is_moving |= linear.norm().max(angular.norm()) > MIN_BASE_SPEED;
+            let linear = linear + angular.cross(&base_from_link.translation.vector);
+            of_base.fill(stacked([linear, angular]));
+            for column in jacobian.iter_mut() {
+                let parts = [0, 3].map(|part| Vec3::from_column_slice(&column[part..part + 3]));
+                *column = stacked(parts.map(|part| base.rotation * part));
+            }
+            base_from_link = base * base_from_link;
+        }
+        let mut in_base = base_from_link * stream.tool;
+        in_base.translation.vector *= 1.0 + stream.radial_scale;
+        let mut jacobian =
+            PoseJacobian::new(jacobian, &stream.reference, &base_from_link, &stream.tool);
+        jacobian.pose = stream.reference * in_base;
+        let in_base = in_base.translation.vector;
+        Some(Prediction { jacobian, q, qd, track_q, in_base, is_moving })
+    }
+
+    /// `reference_from_tip · tool`.
+    pub fn pose_at(&mut self, k: usize) -> Option<Pose> {
+        self.at(k).map(|predicted| predicted.jacobian.pose)
+    }
 }
 
 impl<'a> PoseObservations<'a> {
@@ -334,70 +355,26 @@ impl PoseObservations<'_> {
         })
     }
 
-    /// Predicts sample `k` and writes the Jacobian to `sweep`. `None` if joint states or transforms do not cover it.
-    fn predict(
-        &self,
-        k: usize,
-        stream: &StreamState,
-        offsets: &[f64],
-        sweep: &mut PredictionBuffers,
-    ) -> Option<Predicted> {
-        let stamp = self.t_s[k];
-        let truth = stamp - stream.latency_s - stream.skew * (stamp - self.middle_s);
-        let PredictionBuffers { joints, q, qd, jacobian } = sweep;
-        let (track_q, track_qd) = joints.at(truth)?;
-        let mut moving = false;
-        for (i, &column) in self.columns.iter().enumerate() {
-            (q[i], qd[i]) = (track_q[column] + offsets[column], track_qd[column]);
-            for (at, by) in self.gains_of(column) {
-                let gain = offsets.get(at).unwrap_or(&0.0);
-                q[i] += gain * track_q[by];
-                qd[i] += gain * track_qd[by];
-            }
-            moving |= qd[i].abs() > self.rest_speeds[column];
+    /// `offsets` are those of [`State`].
+    pub fn predictor<'a>(&'a self, stream: &'a StreamState, offsets: &'a [f64]) -> Predictor<'a> {
+        let dof = self.columns.len();
+        let width = dof + usize::from(self.moving_frame.is_some());
+        Predictor {
+            observations: self,
+            stream,
+            offsets,
+            joints: self.joints.sequence(),
+            q: vec![0.0; dof],
+            qd: vec![1.0; width],
+            jacobian: vec![[0.0; 6]; width],
         }
-        let (of_joints, of_base) = jacobian.split_at_mut(q.len());
-        let mut base_from_link = self.chain.forward_with_jacobian(q, of_joints);
-        if let Some(frame) = self.moving_frame {
-            let base = frame.base_at(stamp, truth)?;
-            let [linear, angular] = frame.base_velocity(truth)?;
-            moving |= linear.norm().max(angular.norm()) > MIN_BASE_SPEED;
-            let linear = linear + angular.cross(&base_from_link.translation.vector);
-            for column in of_base {
-                *column = stacked([linear, angular]);
-            }
-            for column in jacobian.iter_mut() {
-                let parts = [0, 3].map(|part| Vec3::from_column_slice(&column[part..part + 3]));
-                *column = stacked(parts.map(|part| base.rotation * part));
-            }
-            base_from_link = base * base_from_link;
-        }
-        let mut in_base = base_from_link * stream.tool;
-        in_base.translation.vector *= 1.0 + stream.radial_scale;
-        Some(Predicted { base_from_link, in_base, pose: stream.reference * in_base, moving })
-    }
-
-    /// Prediction of sample `k` with its derivatives. `None` if joint states do not cover it.
-    pub fn prediction_at<'a>(
-        &self,
-        k: usize,
-        stream: &StreamState,
-        offsets: &[f64],
-        sweep: &'a mut PredictionBuffers,
-    ) -> Option<LinearPrediction<'a>> {
-        let predicted = self.predict(k, stream, offsets, sweep)?;
-        let PredictionBuffers { jacobian, q, qd, .. } = sweep;
-        Some(LinearPrediction { jacobian: predicted.jacobian(jacobian, stream), q, qd })
     }
 
     /// Number of samples, out of about `most`, while a joint moves.
     pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
-        let mut sweep = PredictionBuffers::new(self);
-        self.rows(most)
-            .filter_map(|k| self.predict(k, &state, &offsets, &mut sweep))
-            .filter(|predicted| predicted.moving)
-            .count()
+        let mut predictor = self.predictor(&state, &offsets);
+        self.rows(most).filter(|k| predictor.at(*k).is_some_and(|it| it.is_moving)).count()
     }
 
     /// Rms residual over about `most` samples (m and rad combined), and the latency change that reduces it
@@ -408,18 +385,16 @@ impl PoseObservations<'_> {
         offsets: &[f64],
         most: usize,
     ) -> (f64, f64) {
-        let mut sweep = PredictionBuffers::new(self);
+        let mut predictor = self.predictor(stream, offsets);
         let (mut samples, mut square) = (0, 0.0);
         let (mut along, mut steep) = (0.0, f64::MIN_POSITIVE);
         for k in self.rows(most) {
-            let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else { continue };
-            // At rest, the latency has no effect.
-            let velocity = match predicted.moving {
-                true => predicted.jacobian(&sweep.jacobian, stream).velocity(&sweep.qd),
-                false => [Vec3::zeros(); 2],
+            let Some(Prediction { jacobian, qd, is_moving, .. }) = predictor.at(k) else {
+                continue;
             };
+            let velocity = if is_moving { jacobian.velocity(qd) } else { [Vec3::zeros(); 2] };
             let by_latency = self.excluded.mask(velocity.map(|part| -part));
-            for (slope, residual) in by_latency.iter().zip(self.residual(k, &predicted.pose)) {
+            for (slope, residual) in by_latency.iter().zip(self.residual(k, &jacobian.pose)) {
                 square += residual.norm_squared();
                 along += slope.dot(&residual);
                 steep += slope.norm_squared();
@@ -427,17 +402,6 @@ impl PoseObservations<'_> {
             samples += 1;
         }
         ((square / f64::from(samples.max(1))).sqrt(), along / steep)
-    }
-
-    /// `reference_from_tip · tool`. `None` if joint states do not cover `k`.
-    pub fn pose_at(
-        &self,
-        k: usize,
-        stream: &StreamState,
-        offsets: &[f64],
-        sweep: &mut PredictionBuffers,
-    ) -> Option<Pose> {
-        self.predict(k, stream, offsets, sweep).map(|predicted| predicted.pose)
     }
 
     /// Logged minus predicted: m, rotation vector in rad.
@@ -449,22 +413,22 @@ impl PoseObservations<'_> {
 
     /// Linearises up to `most` samples that joint states cover.
     pub fn linearize(&self, stream: &StreamState, offsets: &[f64], most: usize) -> Linear {
-        let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
-        let mut sweep = PredictionBuffers::new(self);
-        let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
+        let joints = offsets.len();
+        let mut predictor = self.predictor(stream, offsets);
+        let mut linear = Linear::new(joints + STREAM_WIDTH, &[FLOOR_M, FLOOR_RAD]);
         let rows = self.rows(most);
         linear.reserve(rows.len());
         for k in rows {
-            let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {
+            let Some(Prediction { jacobian, q, qd, track_q, in_base, is_moving, .. }) =
+                predictor.at(k)
+            else {
                 continue;
             };
-            linear.places.push(sweep.q());
-            let mut rows = linear.push(&self.residual(k, &predicted.pose));
+            linear.places.push(q);
+            let mut rows = linear.push(&self.residual(k, &jacobian.pose));
             let mut set = |column: usize, derivative: Derivative| {
                 rows.set_all(column, self.excluded.mask(derivative));
             };
-            let jacobian = predicted.jacobian(&sweep.jacobian, stream);
-            let (track_q, _) = sweep.joints.last();
             let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
             for (i, &column) in self.columns.iter().enumerate() {
                 let derivative = jacobian.joint(i);
@@ -473,13 +437,12 @@ impl PoseObservations<'_> {
                     set(gain, scaled(derivative, track_q[by]));
                 }
             }
-            if predicted.moving {
-                let by_latency = scaled(jacobian.velocity(&sweep.qd), -1.0);
+            if is_moving {
+                let by_latency = scaled(jacobian.velocity(qd), -1.0);
                 set(joints + LATENCY_COLUMN, by_latency);
                 set(joints + SKEW_COLUMN, scaled(by_latency, self.t_s[k] - self.middle_s));
             }
-            let outward = jacobian.reference * predicted.in_base.translation.vector;
-            set(joints + RADIAL_SCALE_COLUMN, [outward, Vec3::zeros()]);
+            set(joints + RADIAL_SCALE_COLUMN, [jacobian.reference * in_base, Vec3::zeros()]);
             for axis in 0..6 {
                 set(joints + REFERENCE_COLUMNS_START + axis, jacobian.reference(axis));
                 set(joints + TOOL_COLUMNS_START + axis, jacobian.tool(axis));

@@ -8,7 +8,7 @@
 
 use crate::latency::correlation::median_period_s;
 use crate::model::jacobian::pose_change;
-use crate::model::measurement::{PoseObservations, PredictionBuffers, StreamState};
+use crate::model::measurement::{PoseObservations, StreamState};
 use crate::model::observability::travel;
 use crate::priors::LEVER_M;
 use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, rest_speeds};
@@ -181,11 +181,11 @@ fn residual_with_calibration(
         skew: diagnosis.chosen_skew(),
         ..StreamState::at_latency(diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
-    let (mut sweep, none) =
-        (PredictionBuffers::new(&observations), vec![0.0; corrected_joints.dof]);
+    let none = vec![0.0; corrected_joints.dof];
+    let mut predictor = observations.predictor(&plain, &none);
     let rows: Vec<usize> = observations
         .rows(MAX_CALIBRATION_SAMPLES)
-        .filter(|&row| observations.pose_at(row, &plain, &none, &mut sweep).is_some())
+        .filter(|&row| predictor.at(row).is_some())
         .collect();
     let most = MAX_CALIBRATION_SAMPLES;
     let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, most);

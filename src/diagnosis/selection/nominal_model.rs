@@ -13,7 +13,7 @@
 use crate::latency::profile::explains_excess;
 use crate::model::jacobian::{Derivative, link_derivatives};
 use crate::model::measurement::{
-    FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
+    FLOOR_M, FLOOR_RAD, PoseObservations, Prediction, State, StreamState,
 };
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -333,14 +333,10 @@ pub(crate) fn link_frames(
             FreeAlongside::ZerosAndRadialScale => joints + 1,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-    let mut sweep = PredictionBuffers::new(observations);
+    let mut predictor = observations.predictor(stream_state, offsets);
     let mut links = Vec::new();
     for k in rows {
-        let Some(LinearPrediction { jacobian, q, qd }) =
-            observations.prediction_at(k, stream_state, offsets, &mut sweep)
-        else {
-            continue;
-        };
+        let Some(Prediction { jacobian, q, qd, .. }) = predictor.at(k) else { continue };
         observations.chain.joint_frames(q, &mut links);
         let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
         let mut set = |column: usize, derivative: Derivative| {
