@@ -1,6 +1,6 @@
 //! Residual of a pose stream at slow samples for a mapping of the joint states.
 
-use super::map::JointMap;
+use super::map::{JointMap, scaled};
 use crate::frames::constant_frames::{initial_frames, tool_frame};
 use crate::frames::position_fit::FkColumns;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
@@ -76,6 +76,25 @@ impl<'a> InterpretedPoses<'a> {
         Self { chain, xyz, rotation, q, spans, lever_m, turns: FRAME_ITERATIONS }
     }
 
+    pub fn as_logged(&self) -> JointMap {
+        JointMap::as_logged(self.chain.dof())
+    }
+
+    /// Poses as logged, inverted, and positions only.
+    pub fn views(&self) -> Vec<Self> {
+        let positions = Self { rotation: None, ..self.clone() };
+        let inverted = self.inverted().map(|inverted| [self.clone(), inverted]);
+        inverted.into_iter().flatten().chain([positions]).collect()
+    }
+
+    /// `None` without rotations.
+    fn inverted(&self) -> Option<Self> {
+        let rotation: Vec<Rotation> =
+            self.rotation.as_ref()?.iter().map(Rotation::inverse).collect();
+        let xyz = rotation.iter().zip(&self.xyz).map(|(inverse, xyz)| -(inverse * xyz)).collect();
+        Some(Self { xyz, rotation: Some(rotation), ..self.clone() })
+    }
+
     pub fn len(&self) -> usize {
         self.xyz.len()
     }
@@ -120,6 +139,18 @@ impl<'a> InterpretedPoses<'a> {
         let mut poses = Vec::new();
         self.chain.forward_batch(&q, &mut poses);
         poses
+    }
+
+    /// FK with revolute joints in `unit`, rad.
+    pub fn fk_in_unit(&self, unit: f64) -> FkColumns {
+        FkColumns::from_poses(&self.fk(&scaled(self.chain, unit, 1.0)))
+    }
+
+    /// The smaller `misfit` of the positions of the poses and of their inverses against FK as logged.
+    pub fn least_misfit(&self, misfit: fn(&FkColumns, &[Vec3]) -> f64) -> f64 {
+        let fk = self.fk_in_unit(1.0);
+        let inverted = self.inverted().map_or(f64::INFINITY, |inverted| misfit(&fk, &inverted.xyz));
+        misfit(&fk, &self.xyz).min(inverted)
     }
 
     fn logged(&self) -> Option<Vec<Pose>> {

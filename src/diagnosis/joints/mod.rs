@@ -10,19 +10,16 @@ mod search;
 mod single_joint;
 mod slow_samples;
 
-use self::slow_samples::{
-    JOINT_ENCODING_SAMPLES, SimultaneousSamples, rms_speeds, slow_simultaneous_samples,
-};
+use self::slow_samples::{JOINT_ENCODING_SAMPLES, rms_speeds, slow_simultaneous_samples};
 use crate::frames::position_fit::{FkColumns, spread};
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::measurement::PoseObservations;
-use crate::samples::sampling::{check_sample_count, range_of, value_range};
+use crate::samples::sampling::{check_sample_count, value_range};
 use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
 pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
-use ground::geometry::{Pose, Rotation, Vec3};
-use ground::robot::Chain;
+use ground::geometry::Vec3;
 use ground::stats::{Measured, mean};
 use ground::stream::{JointTrack, sample_noise};
 use interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses};
@@ -67,30 +64,29 @@ pub(super) fn estimate_joint_encoding(
 ) -> EstimateResult<JointEncoding> {
     let (stream, scale) =
         most_informative(streams, scales).ok_or(NotObservable::RestsOn("a pose of the tool"))?;
-    let chain = stream.chain;
     let max_noise_m = |extent_m: f64| max_noise_m(stream, *scale, extent_m);
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
     for lag_s in latency_candidates(joints, stream, max_lag_s) {
         let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
-        check_sample_count(samples.xyz.len(), 6)?;
-        if is_at_rest(chain, &samples) {
-            return encoding_at_rest(chain, &samples, stream.reference_known);
+        check_sample_count(samples.len(), 6)?;
+        if is_at_rest(&samples) {
+            return encoding_at_rest(&samples, stream.reference_known);
         }
-        if spread(&samples.xyz) < MAX_REST_SPREAD_M {
+        let spread_m = spread(&samples.xyz);
+        if spread_m < MAX_REST_SPREAD_M {
             // The joints move, the stream does not.
             return Err(NotObservable::NotExcited);
         }
-        extent = spread(&samples.xyz).max(0.01).min(extent);
-        let misfit_m = misfit(chain, &samples);
-        if misfit_m
-            <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m(spread(&samples.xyz)))
-            || tool_misfit(chain, &samples) <= MAX_LOGGED_RESIDUAL_SHARE * extent
+        extent = spread_m.max(0.01).min(extent);
+        let misfit_m = samples.least_misfit(FkColumns::misfit);
+        if misfit_m <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m(spread_m))
+            || samples.least_misfit(FkColumns::tool_misfit) <= MAX_LOGGED_RESIDUAL_SHARE * extent
         {
             return Ok(JointEncoding::default());
         }
         as_logged = misfit_m.min(as_logged);
-        at_lags.push(samples);
+        at_lags.push(samples.views());
     }
     let max_residual = ResidualSize {
         m: (MAX_RESIDUAL_SHARE * extent)
@@ -98,12 +94,10 @@ pub(super) fn estimate_joint_encoding(
             .min(as_logged / MIN_RESIDUAL_RATIO),
         rad: Some(MAX_RESIDUAL_RAD),
     };
-    let views: Vec<Vec<InterpretedPoses>> =
-        at_lags.iter().map(|samples| views(joints, stream, samples)).collect();
-    if views.iter().flat_map(|views| views.first()).any(half_follows_as_logged) {
+    if at_lags.iter().any(|views| half_follows_as_logged(&views[0])) {
         return Ok(JointEncoding::default());
     }
-    if let Some(found) = search_views(stream, &views, max_residual, &InterpretationKind::ALL) {
+    if let Some(found) = search_views(stream, &at_lags, max_residual, &InterpretationKind::ALL) {
         return Ok(to_encoding(joints.dof, stream, &found, as_logged));
     }
     if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent {
@@ -122,8 +116,7 @@ pub(super) fn has_change_within_run(
 ) -> bool {
     most_informative(streams, scales).is_some_and(|(stream, scale)| {
         latency_candidates(joints, stream, max_lag_s).into_iter().any(|lag_s| {
-            let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
-            views(joints, stream, &samples).first().is_some_and(half_follows_as_logged)
+            half_follows_as_logged(&slow_simultaneous_samples(joints, stream, *scale, lag_s))
         })
     })
 }
@@ -147,7 +140,7 @@ fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
         return false;
     }
     let residual =
-        |view: &InterpretedPoses| view.fitted_residual(&JointMap::as_logged(dof), FreeFrames::Both);
+        |view: &InterpretedPoses| view.fitted_residual(&view.as_logged(), FreeFrames::Both);
     let range = |view: &InterpretedPoses, joint: usize| {
         value_range(view.q.iter().skip(joint).step_by(dof).copied())
     };
@@ -177,13 +170,13 @@ pub(super) fn other_encoding(
     const MIN_LARGE_ROTATION_RESIDUAL_RAD: f64 = 0.05;
     const MAX_SMALL_POSITION_RESIDUAL_M: f64 = 5e-3;
     let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
-    if samples.xyz.len() < 6 || is_at_rest(stream.chain, &samples) {
+    if samples.len() < 6 || is_at_rest(&samples) {
         return None;
     }
     // If only rotations are wrong, positions must not get worse.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD)
         && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
-    let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &samples) } else { 0.0 };
+    let stay_m = if turns_only { 1.2 * samples.least_misfit(FkColumns::tool_misfit) } else { 0.0 };
     let better_m = (as_logged.m / MIN_RESIDUAL_RATIO).max(2e-4).max(stay_m);
     let extent_m = spread(&samples.xyz).max(0.01);
     let max_residual = ResidualSize {
@@ -200,16 +193,12 @@ pub(super) fn other_encoding(
         &InterpretationKind::FOR_SMALL_RESIDUALS[..]
     };
     // The latency of a wrong model may be wrong.
-    let mut at_lags = vec![samples];
-    at_lags.extend(
-        latency_candidates(joints, stream, max_lag_s)
-            .into_iter()
-            .map(|lag_s| slow_simultaneous_samples(joints, stream, scale, lag_s)),
-    );
-    let views: Vec<Vec<InterpretedPoses>> = at_lags
-        .iter()
+    let at_lag = |lag_s: f64| slow_simultaneous_samples(joints, stream, scale, lag_s);
+    let others = latency_candidates(joints, stream, max_lag_s).into_iter().map(at_lag);
+    let views: Vec<Vec<InterpretedPoses>> = std::iter::once(samples)
+        .chain(others.filter(|samples| samples.len() >= 6))
         .map(|samples| {
-            let mut views = views(joints, stream, samples);
+            let mut views = samples.views();
             views.retain(|view| !turns_only || view.rotation.is_some());
             views
         })
@@ -286,14 +275,16 @@ pub(super) fn likely_encodings(
     };
     let lag_s = latency_candidates(joints, stream, max_lag_s).last().copied().unwrap_or(0.0);
     let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
+    if samples.len() < 6 {
+        return Vec::new();
+    }
+    let as_logged_m = samples.least_misfit(FkColumns::misfit);
     let mut likely = Vec::new();
-    let mut views = views(joints, stream, &samples);
-    views.extend(views.last().map(InterpretedPoses::mirrored));
-    for view in views.iter().filter(|view| view.len() > 5) {
-        for (map, by_range) in search::likely_maps(view) {
+    for view in samples.views().into_iter().chain([samples.mirrored()]) {
+        for (map, by_range) in search::likely_maps(&view) {
             let residual = view.fitted_residual(&map, FreeFrames::Both);
             let found = JointInterpretation { map, residual, runner_up_m: None };
-            let encoding = to_encoding(joints.dof, stream, &found, misfit(stream.chain, &samples));
+            let encoding = to_encoding(joints.dof, stream, &found, as_logged_m);
             likely.push(LikelyEncoding { encoding, by_range });
         }
     }
@@ -342,29 +333,6 @@ pub(super) fn single_zeros(
         .collect();
     zeros.sort_by(|a, b| a.0.total_cmp(&b.0));
     zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
-}
-
-/// Poses as logged, inverted, and positions only.
-fn views<'a>(
-    joints: &JointTrack,
-    stream: &PoseStream<'a>,
-    samples: &SimultaneousSamples,
-) -> Vec<InterpretedPoses<'a>> {
-    let span = |&column: &usize| range_of(joints.positions_of(column));
-    let (spans, xyz) = (stream.columns.iter().map(span).collect(), samples.xyz.clone());
-    let positions = InterpretedPoses::new(stream.chain, xyz, None, samples.q.clone(), spans);
-    let mut views = Vec::new();
-    if let (Some(rotation), Some(inverse)) = (&samples.rotation, &samples.inverse_xyz) {
-        views.push(InterpretedPoses { rotation: Some(rotation.clone()), ..positions.clone() });
-        let turned = rotation.iter().map(Rotation::inverse).collect();
-        views.push(InterpretedPoses {
-            xyz: inverse.clone(),
-            rotation: Some(turned),
-            ..positions.clone()
-        });
-    }
-    views.push(positions);
-    views
 }
 
 /// Converts a map to columns of the joint track.
@@ -424,39 +392,28 @@ fn to_encoding(
     }
 }
 
-/// Neither stream nor FK move the tip, in radians or degrees.
-fn is_at_rest(chain: &Chain, samples: &SimultaneousSamples) -> bool {
-    let [as_logged, in_degrees] = UNITS.map(|unit| fk_positions(chain, samples, unit));
-    [&samples.xyz, &as_logged, &in_degrees].into_iter().all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
-}
-
 /// Radians and degrees.
 const UNITS: [f64; 2] = [1.0, std::f64::consts::PI / 180.0];
 
-/// FK at the samples, with revolute joints in `unit`, rad.
-fn fk_positions(chain: &Chain, samples: &SimultaneousSamples, unit: f64) -> Vec<Vec3> {
-    let (map, mut q) = (map::scaled(chain, unit, 1.0), vec![0.0; chain.dof()]);
-    let at = |row: &[f64]| {
-        map.apply(row, &mut q);
-        chain.forward(&q).translation.vector
-    };
-    samples.q.chunks_exact(chain.dof()).map(at).collect()
+/// Neither stream nor FK move the tip, in radians or degrees.
+fn is_at_rest(samples: &InterpretedPoses) -> bool {
+    let in_units = UNITS.map(|unit| samples.fk_in_unit(unit).xyz);
+    in_units.iter().chain([&samples.xyz]).all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
 }
 
 /// A tip at the position given by FK confirms names and unit without any free frame; elsewhere it is
 /// inconclusive.
 fn encoding_at_rest(
-    chain: &Chain,
-    samples: &SimultaneousSamples,
+    samples: &InterpretedPoses,
     reference_known: bool,
 ) -> EstimateResult<JointEncoding> {
     let [as_logged, corrected] = UNITS.map(|unit| {
-        let fk = fk_positions(chain, samples, unit);
+        let fk = samples.fk_in_unit(unit).xyz;
         let squares = fk.iter().zip(&samples.xyz).map(|(fk, xyz)| (fk - xyz).norm_squared());
         mean(squares).sqrt()
     });
     let is_plausible = |distance: f64, other: f64| {
-        distance < MAX_REST_DISTANCE_SHARE * chain.max_reach_m()
+        distance < MAX_REST_DISTANCE_SHARE * samples.chain.max_reach_m()
             && distance * MIN_RESIDUAL_RATIO < other
     };
     let degrees = match reference_known {
@@ -511,8 +468,9 @@ pub(super) fn follows_arm(
     lag_s: f64,
 ) -> bool {
     let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
-    samples.xyz.len() >= 6
-        && misfit(stream.chain, &samples) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&samples.xyz)
+    samples.len() >= 6
+        && samples.least_misfit(FkColumns::misfit)
+            < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&samples.xyz)
 }
 
 /// Whether the poses follow FK as logged, up to constant frames. `None` if a resting tip or few samples do not
@@ -520,10 +478,8 @@ pub(super) fn follows_arm(
 pub fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> Option<bool> {
     let samples = slow_simultaneous_samples(joints, stream, 1.0, 0.0);
     let extent = spread(&samples.xyz);
-    let view = views(joints, stream, &samples).into_iter().next()?;
-    let as_logged = JointMap::as_logged(stream.chain.dof());
-    let residual = view.fitted_residual(&as_logged, FreeFrames::Both);
-    (view.len() >= 6 && extent > MAX_REST_SPREAD_M).then(|| {
+    let residual = samples.fitted_residual(&samples.as_logged(), FreeFrames::Both);
+    (samples.len() >= 6 && extent > MAX_REST_SPREAD_M).then(|| {
         residual.m < MAX_LOGGED_RESIDUAL_SHARE * extent
             && residual.rad.is_none_or(|rad| rad < MAX_RESIDUAL_RAD)
     })
@@ -546,14 +502,6 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) 
     lags
 }
 
-/// Position residual with a constant tool offset, rms m.
-fn tool_misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
-    let poses: Vec<Pose> = samples.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = FkColumns::from_poses(&poses);
-    let plain = expected.tool_misfit(&samples.xyz);
-    samples.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
-}
-
 /// Largest position residual that counts as noise, m. `scale` converts the stream's positions to metres.
 fn max_noise_m(stream: &PoseStream, scale: f64, extent_m: f64) -> f64 {
     (MAX_NOISE_RATIO * scale * position_noise(stream)).min(MAX_LOGGED_RESIDUAL_SHARE * extent_m)
@@ -561,18 +509,10 @@ fn max_noise_m(stream: &PoseStream, scale: f64, extent_m: f64) -> f64 {
 
 /// Rms distance of a position from the mean, due to noise, in the unit of the stream.
 fn position_noise(stream: &PoseStream) -> f64 {
-    let axis = |axis: usize| {
+    let along = |axis: usize| {
         sample_noise(&stream.track.xyz.iter().map(|xyz| xyz[axis]).collect::<Vec<f64>>())
     };
-    (0..3).map(|one| axis(one).powi(2)).sum::<f64>().sqrt()
-}
-
-/// Position residual with constant frames, rms m.
-fn misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
-    let poses: Vec<Pose> = samples.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = FkColumns::from_poses(&poses);
-    let plain = expected.misfit(&samples.xyz);
-    samples.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
+    Vec3::from([0, 1, 2].map(along)).norm()
 }
 
 #[cfg(test)]

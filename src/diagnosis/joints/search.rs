@@ -96,7 +96,7 @@ pub(super) fn search_kind(
     freedom: FreeFrames,
     max_residual: ResidualSize,
 ) -> SearchOutcome {
-    let none = JointMap::as_logged(view.chain.dof());
+    let none = view.as_logged();
     if is_within(&view.fitted_residual(&none, freedom), max_residual) {
         // The poses fit as logged.
         return SearchOutcome::Nothing;
@@ -219,7 +219,7 @@ fn best_proposals(
 
 /// Likely part of the fault; whether the joint ranges support them.
 pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
-    let none = JointMap::as_logged(view.chain.dof());
+    let none = view.as_logged();
     let is_out = none.out_of_range(view.chain, &view.spans);
     let in_range = unit_maps(view.chain)
         .into_iter()
@@ -252,7 +252,7 @@ fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
 
 fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = &view.thinned(ROUGH_SAMPLES);
-    let none = JointMap::as_logged(view.chain.dof());
+    let none = view.as_logged();
     let nearest = |proposals| best_proposals(thin, proposals, freedom, REFINED_PROPOSALS / 2);
     let units = unit_maps(view.chain).into_iter().map(|map| unrefined(map, 1.0));
     let others = other_maps(view.chain).into_iter().map(|map| unrefined(map, 1.25));
@@ -363,7 +363,7 @@ fn common_gear(
 
 fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(ROUGH_SAMPLES);
-    let none = JointMap::as_logged(view.chain.dof());
+    let none = view.as_logged();
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
     let units = unit_maps(view.chain).into_iter().map(|unit| (unit, 1.0));
     let bases = std::iter::once((none.clone(), 0.0)).chain(units);
@@ -379,7 +379,7 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
 /// Pairs of coupled revolute joints with a factor of ±1 (angle from the horizon, as FANUC's J3) or an
 /// estimated one (wrists with concentric gear trains).
 fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
-    let none = JointMap::as_logged(view.chain.dof());
+    let none = view.as_logged();
     let turning: Vec<usize> = view.chain.turning_joints().collect();
     let driving = moving_joints(view, &none);
     let pairs = turning.iter().flat_map(|&joint| {

@@ -1,23 +1,13 @@
 //! Slow samples used to determine the encoding of the joints.
 
+use super::interpreted_poses::InterpretedPoses;
 use crate::PoseStream;
 use crate::latency::correlation::combined_speed;
-use crate::samples::sampling::as_rotations;
-use ground::geometry::{Rotation, Vec3};
+use crate::samples::sampling::{as_rotations, range_of};
 use ground::stats::mean;
 use ground::stream::JointTrack;
 
 pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
-
-pub(super) struct SimultaneousSamples {
-    pub xyz: Vec<Vec3>,
-    /// Rotations, if decoded.
-    pub rotation: Option<Vec<Rotation>>,
-    /// Positions of the inverse poses, if there are rotations.
-    pub inverse_xyz: Option<Vec<Vec3>>,
-    /// Row-major, in chain order.
-    pub q: Vec<f64>,
-}
 
 /// Bounded below to allow division.
 pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
@@ -26,12 +16,12 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
 }
 
 /// Spread over the run, see [`slow_rows`].
-pub(super) fn slow_simultaneous_samples(
+pub(super) fn slow_simultaneous_samples<'a>(
     joints: &JointTrack,
-    stream: &PoseStream,
+    stream: &PoseStream<'a>,
     scale: f64,
     lag_s: f64,
-) -> SimultaneousSamples {
+) -> InterpretedPoses<'a> {
     let track = stream.track;
     let mut sequence = joints.sequence();
     let rms = rms_speeds(joints);
@@ -45,14 +35,12 @@ pub(super) fn slow_simultaneous_samples(
     let speeds: Vec<f64> = covered.iter().map(|(_, speed, _)| *speed).collect();
     let slow = slow_rows(&speeds);
     let rows = || slow.iter().map(|&at| covered[at].0);
-    let xyz: Vec<Vec3> = rows().map(|row| track.xyz[row] * scale).collect();
-    let rotation: Option<Vec<Rotation>> =
-        as_rotations(&track.orientation).map(|all| rows().map(|row| all[row]).collect());
-    let inverse_xyz = rotation.as_ref().map(|rotation| {
-        rotation.iter().zip(&xyz).map(|(rotation, xyz)| -(rotation.inverse() * xyz)).collect()
-    });
+    let xyz = rows().map(|row| track.xyz[row] * scale).collect();
+    let rotation = as_rotations(&track.orientation).map(|all| rows().map(|row| all[row]).collect());
     let q = slow.iter().flat_map(|&at| &covered[at].2).copied().collect();
-    SimultaneousSamples { xyz, rotation, inverse_xyz, q }
+    let span = |&column: &usize| range_of(joints.positions_of(column));
+    let spans = stream.columns.iter().map(span).collect();
+    InterpretedPoses::new(stream.chain, xyz, rotation, q, spans)
 }
 
 /// Rows of slow samples, ascending. The run is divided into stretches, equally by time and by path, so an arm that
