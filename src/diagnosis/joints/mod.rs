@@ -325,7 +325,8 @@ pub(super) fn single_zeros(
     let mut zeros: Vec<(f64, usize, f64)> = chain
         .turning_joints()
         .filter_map(|joint| {
-            let zero = SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0).0;
+            let zero =
+                SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0, true).0;
             let residual_of = residual_of(&nearest_zeros.with(joint, 1.0, zero));
             let is_off = (zero - nearest_zeros.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
             (is_off && residual_of < max_residual).then_some((residual_of, columns[joint], zero))

@@ -34,6 +34,18 @@ const TOOL_ROTATION_PRICE: f64 = 1.0;
 const BEYOND_LIMIT_PRICE: f64 = 0.25;
 
 impl JointProposal {
+    /// All of `map` is fixed.
+    pub fn new(map: JointMap, price: f64) -> Self {
+        Self { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
+    }
+
+    /// With another factor of a joint, and another zero if any, at this additional price. The zero is free.
+    pub fn with_joint(&self, joint: usize, factor: f64, zero: Option<f64>, price: f64) -> Self {
+        let zeros = self.zeros.iter().copied().chain(zero.map(|_| joint)).collect();
+        let map = self.map.with(joint, factor, zero.unwrap_or(0.0));
+        Self { map, zeros, price: self.price + price, ..self.clone() }
+    }
+
     /// Minimises the residual in at most `steps` steps.
     pub fn refine(
         &self,
@@ -45,7 +57,9 @@ impl JointProposal {
         const MIN_GAIN: f64 = 2e-4;
         let frames = view.fit_frames(&view.fk(&self.map), freedom);
         let start = (self.map.clone(), frames);
-        let fit = ProposalFit { proposal: self, view, freedom };
+        let tool_parameters = if view.rotation.is_some() { 6 } else { 3 };
+        let reference_parameters = if freedom == FreeFrames::Both { 6 } else { 0 };
+        let fit = ProposalFit { proposal: self, view, tool_parameters, reference_parameters };
         let (mut map, frames) =
             match minimize(&fit, start.clone(), Limits { steps, min_gain: MIN_GAIN }) {
                 Some((_, found)) => found,
@@ -67,35 +81,25 @@ impl JointProposal {
 struct ProposalFit<'a> {
     proposal: &'a JointProposal,
     view: &'a InterpretedPoses<'a>,
-    freedom: FreeFrames,
-}
-
-impl ProposalFit<'_> {
-    fn tool_parameters(&self) -> usize {
-        if self.view.rotation.is_some() { 6 } else { 3 }
-    }
-
-    fn width(&self) -> usize {
-        let JointProposal { zeros, factors, fits_coupling, .. } = self.proposal;
-        let reference = if self.freedom == FreeFrames::Both { 6 } else { 0 };
-        zeros.len()
-            + factors.len()
-            + usize::from(*fits_coupling)
-            + self.tool_parameters()
-            + reference
-    }
+    tool_parameters: usize,
+    reference_parameters: usize,
 }
 
 impl LeastSquares for ProposalFit<'_> {
     type State = (JointMap, ConstantFrames);
 
     fn linearize(&self, (map, frames): &Self::State) -> Option<NormalEquations> {
-        let Self { proposal, view, freedom } = *self;
+        let Self { proposal, view, tool_parameters, reference_parameters } = *self;
         let dof = view.chain.dof();
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
         let weights = [1.0, if view.rotation.is_some() { view.lever_m } else { 0.0 }];
-        let mut normal = NormalEquations::zeros(self.width());
-        let mut derivatives: Vec<Derivative> = Vec::with_capacity(self.width());
+        let width = proposal.zeros.len()
+            + proposal.factors.len()
+            + usize::from(proposal.fits_coupling)
+            + tool_parameters
+            + reference_parameters;
+        let mut normal = NormalEquations::zeros(width);
+        let mut derivatives: Vec<Derivative> = Vec::with_capacity(width);
         for (k, row) in view.q.chunks_exact(dof).enumerate() {
             map.apply(row, &mut q);
             let link = view.chain.forward_with_jacobian(&q, &mut columns);
@@ -111,10 +115,8 @@ impl LeastSquares for ProposalFit<'_> {
             );
             let coupling = map.coupling.filter(|_| proposal.fits_coupling);
             derivatives.extend(coupling.map(|Coupling { joint, by, .. }| scaled(joint, q[by])));
-            derivatives.extend((0..self.tool_parameters()).map(|axis| jacobian.tool(axis)));
-            if freedom == FreeFrames::Both {
-                derivatives.extend((0..6).map(|axis| jacobian.reference(axis)));
-            }
+            derivatives.extend((0..tool_parameters).map(|axis| jacobian.tool(axis)));
+            derivatives.extend((0..reference_parameters).map(|axis| jacobian.reference(axis)));
             let residual = view.residual(k, &jacobian.pose);
             normal.add_pose(&derivatives, residual, weights);
         }
@@ -145,10 +147,8 @@ impl LeastSquares for ProposalFit<'_> {
             twist[3..].iter_mut().for_each(|part| *part *= MAX_STEP_RAD / angle.max(MAX_STEP_RAD));
             pose_of_twist(&twist)
         };
-        frames.tool *= frame(self.tool_parameters());
-        if self.freedom == FreeFrames::Both {
-            frames.reference = frame(6) * frames.reference;
-        }
+        frames.tool *= frame(self.tool_parameters);
+        frames.reference = frame(self.reference_parameters) * frames.reference;
         (map, frames)
     }
 }

@@ -230,10 +230,6 @@ pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     in_range.map(|unit| (unit, true)).into_iter().chain(nearest).collect()
 }
 
-fn unrefined(map: JointMap, price: f64) -> JointProposal {
-    JointProposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
-}
-
 fn moves_enough(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
     let least = if view.chain.slides(joint) { MIN_MOTION_M } else { MIN_MOTION_RAD };
     factor.abs() * logged_range(view, map, joint) > least
@@ -254,8 +250,8 @@ fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     let thin = &view.thinned(ROUGH_SAMPLES);
     let none = view.as_logged();
     let nearest = |proposals| best_proposals(thin, proposals, freedom, REFINED_PROPOSALS / 2);
-    let units = unit_maps(view.chain).into_iter().map(|map| unrefined(map, 1.0));
-    let others = other_maps(view.chain).into_iter().map(|map| unrefined(map, 1.25));
+    let units = unit_maps(view.chain).into_iter().map(|map| JointProposal::new(map, 1.0));
+    let others = other_maps(view.chain).into_iter().map(|map| JointProposal::new(map, 1.25));
     let mut proposals = nearest(units.chain(others).collect());
     let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
@@ -265,9 +261,9 @@ fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     proposals.extend(nearest(reversed));
     proposals.extend(nearest(subsets_in_degrees(view, &none)));
     proposals.extend(common_gear(thin, &none, freedom));
-    proposals.extend(
-        (0..view.chain.dof()).flat_map(|joint| single_joint(thin, &none, 0.0, freedom, joint)),
-    );
+    let none = JointProposal::new(none, 0.0);
+    proposals
+        .extend((0..view.chain.dof()).flat_map(|joint| single_joint(thin, &none, freedom, joint)));
     proposals
 }
 
@@ -283,23 +279,28 @@ fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
     Some(JointInterpretation { map, residual: max_residual, runner_up_m: None })
 }
 
+/// Maps with another factor of each subset of `joints`, with the size of the subset. Empty if there are too many joints.
+fn subsets<'a>(
+    base: &'a JointMap,
+    joints: &'a [usize],
+    factor: impl Fn(f64) -> f64 + 'a,
+) -> impl Iterator<Item = (JointMap, usize)> + 'a {
+    let count = if joints.len() > MAX_SUBSET_JOINTS { 0 } else { 1u32 << joints.len() };
+    (0..count).map(move |chosen| {
+        let mut map = base.clone();
+        for (_, &joint) in joints.iter().enumerate().filter(|(bit, _)| chosen & (1 << bit) != 0) {
+            map.factor[joint] = factor(map.factor[joint]);
+        }
+        (map, chosen.count_ones() as usize)
+    })
+}
+
 /// Reversing all joints is one cause.
 fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
     let moving = moving_joints(view, base);
-    if moving.len() > MAX_SUBSET_JOINTS {
-        return Vec::new();
-    }
-    let flipped = |signs: u32| {
-        let mut map = base.clone();
-        for (bit, &joint) in moving.iter().enumerate() {
-            if signs & (1 << bit) != 0 {
-                map.factor[joint] = -map.factor[joint];
-            }
-        }
-        let count = signs.count_ones() as usize;
-        unrefined(map, if count == moving.len() { 1.25 } else { count as f64 })
-    };
-    (1..1u32 << moving.len()).map(flipped).collect()
+    let reversed = subsets(base, &moving, |factor| -factor).skip(1);
+    let price = |count: usize| if count == moving.len() { 1.25 } else { count as f64 };
+    reversed.map(|(map, count)| JointProposal::new(map, price(count))).collect()
 }
 
 /// Some joints in degrees, among them all that turn too far in radians. Empty without such joints.
@@ -312,19 +313,17 @@ fn subsets_in_degrees(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProp
     let is_far =
         |joint: &usize| view.spans[base.from[*joint]].iter().any(|end| end.abs() > MAX_TURN_RAD);
     let (far, near): (Vec<usize>, Vec<usize>) = view.chain.turning_joints().partition(is_far);
-    if far.is_empty() || near.len() > MAX_SUBSET_JOINTS {
+    if far.is_empty() {
         return Vec::new();
     }
-    let subset = |chosen: u32| {
-        let others = near.iter().enumerate().filter(|(bit, _)| chosen & (1 << bit) != 0);
-        let mut map = base.clone();
-        for joint in far.iter().chain(others.map(|(_, joint)| joint)) {
-            map.factor[*joint] = 1f64.to_radians();
-        }
-        unrefined(map, PRICE + PRICE_OF_JOINT * f64::from(chosen.count_ones()))
-    };
+    let degree = 1f64.to_radians();
+    let mut base = base.clone();
+    far.iter().for_each(|&joint| base.factor[joint] = degree);
     // All of them are another proposal.
-    (0..(1u32 << near.len()) - 1).map(subset).collect()
+    subsets(&base, &near, |_| degree)
+        .filter(|(_, count)| *count < near.len())
+        .map(|(map, count)| JointProposal::new(map, PRICE + PRICE_OF_JOINT * count as f64))
+        .collect()
 }
 
 /// Common factor of all revolute joints that is not round, such as that of a unit.
@@ -353,7 +352,7 @@ fn common_gear(
     let steps = ((MAX_RANGE_RAD / MIN_RANGE_SHARE).ln() / FACTOR_STEP.ln()) as i32;
     let tried = (0..=steps).flat_map(|step| {
         let factor = MIN_RANGE_SHARE / widest * FACTOR_STEP.powi(step);
-        [factor, -factor].map(|factor| unrefined(scaled(factor), 1.25 + ODD_SCALE_PRICE))
+        [factor, -factor].map(|factor| JointProposal::new(scaled(factor), 1.25 + ODD_SCALE_PRICE))
     });
     let best = best_proposals(view, tried.collect(), freedom, 1).pop()?;
     let is_unit =
@@ -369,7 +368,9 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     let bases = std::iter::once((none.clone(), 0.0)).chain(units);
     let all = bases
         .flat_map(|(base, price)| {
-            orders.iter().map(move |order| unrefined(base.in_order(order), price + ORDER_PRICE))
+            orders
+                .iter()
+                .map(move |order| JointProposal::new(base.in_order(order), price + ORDER_PRICE))
         })
         .filter(|proposal| proposal.map.from != none.from)
         .collect();
@@ -379,72 +380,68 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
 /// Pairs of coupled revolute joints with a factor of ±1 (angle from the horizon, as FANUC's J3) or an
 /// estimated one (wrists with concentric gear trains).
 fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
+    const FACTORS: [(f64, bool); 3] = [(1.0, false), (-1.0, false), (0.0, true)];
     let none = view.as_logged();
     let turning: Vec<usize> = view.chain.turning_joints().collect();
-    let driving = moving_joints(view, &none);
-    let pairs = turning.iter().flat_map(|&joint| {
-        let driving = driving.iter().filter(|by| turning.contains(by));
-        driving.filter(move |&&by| by != joint).map(move |&by| (joint, by))
-    });
-    let proposal = |(joint, by): (usize, usize), factor: f64, fits_coupling: bool| {
-        let map = JointMap { coupling: Some(Coupling { joint, by, factor }), ..none.clone() };
-        let price = if fits_coupling { 1.0 + ODD_SCALE_PRICE } else { 1.0 };
-        JointProposal { fits_coupling, ..unrefined(map, price) }
-    };
-    pairs
-        .flat_map(|pair| {
-            let round = [1.0, -1.0].map(|factor| proposal(pair, factor, false));
-            round.into_iter().chain([proposal(pair, 0.0, true)])
-        })
-        .collect()
+    let mut driving = moving_joints(view, &none);
+    driving.retain(|by| turning.contains(by));
+    let mut proposals = Vec::new();
+    for &joint in &turning {
+        for &by in driving.iter().filter(|by| **by != joint) {
+            proposals.extend(FACTORS.map(|(factor, fits_coupling)| {
+                let map =
+                    JointMap { coupling: Some(Coupling { joint, by, factor }), ..none.clone() };
+                let price = if fits_coupling { 1.0 + ODD_SCALE_PRICE } else { 1.0 };
+                JointProposal { fits_coupling, ..JointProposal::new(map, price) }
+            }));
+        }
+    }
+    proposals
 }
 
 fn unit_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(ROUGH_SAMPLES);
-    let pairs: Vec<(JointMap, usize)> = unit_maps(view.chain)
+    let pairs: Vec<(JointProposal, usize)> = unit_maps(view.chain)
         .into_iter()
+        .map(|unit| JointProposal::new(unit, 1.0))
         .flat_map(|unit| (0..view.chain.dof()).map(move |joint| (unit.clone(), joint)))
         .collect();
     pairs
         .into_par_iter()
-        .flat_map_iter(|(unit, joint)| single_joint(&thin, &unit, 1.0, freedom, joint))
+        .flat_map_iter(|(unit, joint)| single_joint(&thin, &unit, freedom, joint))
         .collect()
 }
 
 /// Tries the joint's zero, direction, unit or scale.
 fn single_joint(
     view: &InterpretedPoses,
-    base: &JointMap,
-    price: f64,
+    base: &JointProposal,
     freedom: FreeFrames,
     joint: usize,
 ) -> Vec<JointProposal> {
     let slides = view.chain.slides(joint);
-    let own = base.factor[joint];
-    let moves = |factor: f64| moves_enough(view, base, joint, factor);
-    let zero_of = |factor: f64| {
-        alternate_fit(view, base, freedom, joint, |lone| (factor, lone.best_zero(factor).0)).1
+    let own = base.map.factor[joint];
+    let moves = |factor: f64| moves_enough(view, &base.map, joint, factor);
+    let with_zero = |factor: f64, price: f64| {
+        let pick = |single: &SingleJoint| (factor, single.best_zero(factor, true).0);
+        let zero = alternate_fit(view, &base.map, freedom, joint, pick).1;
+        base.with_joint(joint, factor, Some(zero), price)
     };
-    let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| JointProposal {
-        zeros: zero.map(|_| joint).into_iter().collect(),
-        factors: is_free.then_some(joint).into_iter().collect(),
-        ..unrefined(base.with(joint, factor, zero.unwrap_or(0.0)), price + more)
-    };
-    let mut proposals = vec![proposal(own, Some(zero_of(own)), false, 1.0)];
+    let mut proposals = vec![with_zero(own, 1.0)];
     let reversed = moves(own).then_some(-own);
     let units: &[f64] = if slides { &[1e-3, 1e-2] } else { &[std::f64::consts::PI / 180.0] };
     let units = units.iter().copied().filter(|&unit| own == 1.0 && moves(unit));
     for factor in reversed.into_iter().chain(units) {
-        proposals.push(proposal(factor, None, false, 1.0));
-        proposals.push(proposal(factor, Some(zero_of(factor)), false, 2.0));
+        proposals.push(base.with_joint(joint, factor, None, 1.0));
+        proposals.push(with_zero(factor, 2.0));
     }
-    for with_zero in [true, false] {
-        let at = usize::from(!with_zero);
-        let pick = |lone: &SingleJoint| lone.factors().get(at).copied().unwrap_or((own, 0.0));
-        let (factor, zero) = alternate_fit(view, base, freedom, joint, pick);
+    for has_zero in [true, false] {
+        let pick = |single: &SingleJoint| single.best_factor(has_zero).unwrap_or((own, 0.0));
+        let (factor, zero) = alternate_fit(view, &base.map, freedom, joint, pick);
         if moves(factor) {
-            let more = ODD_SCALE_PRICE + if with_zero { 2.0 } else { 1.0 };
-            proposals.push(proposal(factor, with_zero.then_some(zero), true, more));
+            let price = ODD_SCALE_PRICE + if has_zero { 2.0 } else { 1.0 };
+            let scaled = base.with_joint(joint, factor, has_zero.then_some(zero), price);
+            proposals.push(JointProposal { factors: vec![joint], ..scaled });
         }
     }
     proposals
@@ -468,52 +465,61 @@ fn alternate_fit(
     found
 }
 
+/// `base` with another zero of a joint, and, if it can be reversed, with the other direction, then with both.
+fn with_joint_fault(
+    view: &InterpretedPoses,
+    base: &JointProposal,
+    frames: &ConstantFrames,
+    joint: usize,
+    can_be_reversed: bool,
+) -> Vec<JointProposal> {
+    let single = SingleJoint::new(view, &base.map, frames, joint);
+    let with_zero = |factor: f64, price: f64| {
+        base.with_joint(joint, factor, Some(single.best_zero(factor, true).0), price)
+    };
+    let mut proposals = vec![with_zero(1.0, 1.0)];
+    if can_be_reversed {
+        proposals.extend([base.with_joint(joint, -1.0, None, 1.0), with_zero(-1.0, 2.0)]);
+    }
+    proposals
+}
+
 /// The first has its zero on a grid, forward or reversed.
 fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     const ZERO_GRID_POINTS: u32 = 24;
     let thin = view.thinned(16);
     let dof = view.chain.dof();
-    let none = JointMap::as_logged(dof);
-    let can_move = moving_joints(view, &none);
-    let mut firsts: Vec<(usize, f64, f64, f64)> = Vec::new();
+    let none = JointProposal::new(view.as_logged(), 0.0);
+    let can_move = moving_joints(view, &none.map);
+    let mut firsts: Vec<(usize, JointProposal)> = Vec::new();
     for joint in 0..dof {
+        let mut add = |factor: f64, zero: Option<f64>, price: f64| {
+            firsts.push((joint, none.with_joint(joint, factor, zero, price)));
+        };
         if view.chain.slides(joint) {
-            firsts.extend([(joint, 1e-3, 0.0, 1.0), (joint, -1.0, 0.0, 1.0)]);
+            add(1e-3, None, 1.0);
+            add(-1.0, None, 1.0);
             continue;
         }
-        firsts.push((joint, 1f64.to_radians(), 0.0, 1.0));
-        for step in 0..ZERO_GRID_POINTS {
-            let zero = TAU * f64::from(step) / f64::from(ZERO_GRID_POINTS);
-            let turned = if step == 0 { 0.0 } else { 1.0 };
-            if step > 0 {
-                firsts.push((joint, 1.0, zero, 1.0));
-            }
+        add(1f64.to_radians(), None, 1.0);
+        if can_move.contains(&joint) {
+            add(-1.0, None, 1.0);
+        }
+        for step in 1..ZERO_GRID_POINTS {
+            let zero = Some(TAU * f64::from(step) / f64::from(ZERO_GRID_POINTS));
+            add(1.0, zero, 1.0);
             if can_move.contains(&joint) {
-                firsts.push((joint, -1.0, zero, 1.0 + turned));
+                add(-1.0, zero, 2.0);
             }
         }
     }
     let proposals: Vec<JointProposal> = firsts
         .into_par_iter()
-        .flat_map_iter(|(first, factor, zero, price)| {
-            let base = none.with(first, factor, zero);
-            let frames = thin.first_frames(&base, freedom);
-            let seconds = (0..dof).filter(move |&second| second != first);
-            let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
+        .flat_map_iter(|(first, base)| {
+            let frames = thin.first_frames(&base.map, freedom);
             let (thin, can_move) = (&thin, &can_move);
-            seconds.flat_map(move |second| {
-                let single = SingleJoint::new(thin, &base, &frames, second);
-                let mut candidates = vec![(1.0, Some(single.best_zero(1.0).0), 1.0)];
-                if can_move.contains(&second) {
-                    candidates.push((-1.0, None, 1.0));
-                    candidates.push((-1.0, Some(single.best_zero(-1.0).0), 2.0));
-                }
-                let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
-                    let zeros = firsts.iter().copied().chain(zero.map(|_| second)).collect();
-                    let map = base.with(second, factor, zero.unwrap_or(0.0));
-                    JointProposal { zeros, ..unrefined(map, price + more) }
-                };
-                candidates.into_iter().map(proposal).collect::<Vec<_>>()
+            (0..dof).filter(move |&second| second != first).flat_map(move |second| {
+                with_joint_fault(thin, &base, &frames, second, can_move.contains(&second))
             })
         })
         .collect();
@@ -522,27 +528,20 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
 
 fn order_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(10);
-    let dof = view.chain.dof();
-    let none = JointMap::as_logged(dof);
+    let none = view.as_logged();
     // One joint fewer than above, because each order is combined with each joint.
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS - 1);
     let proposals = orders
         .into_par_iter()
         .filter(|order| *order != none.from)
         .flat_map_iter(|order| {
-            let base = none.in_order(&order);
-            let can_move = moving_joints(&thin, &base);
-            let thin = &thin;
-            (0..dof).flat_map(move |joint| {
-                let zero = SingleJoint::new(thin, &base, &ConstantFrames::default(), joint)
-                    .best_zero(1.0)
-                    .0;
-                let turned = unrefined(base.with(joint, 1.0, zero), ORDER_PRICE + 1.0);
-                let turned = JointProposal { zeros: vec![joint], ..turned };
-                let moves = can_move.contains(&joint);
-                let reversed =
-                    moves.then(|| unrefined(base.with(joint, -1.0, 0.0), ORDER_PRICE + 1.0));
-                std::iter::once(turned).chain(reversed).collect::<Vec<_>>()
+            let base = JointProposal::new(none.in_order(&order), ORDER_PRICE);
+            let can_move = moving_joints(&thin, &base.map);
+            let (thin, frames) = (&thin, ConstantFrames::default());
+            (0..view.chain.dof()).flat_map(move |joint| {
+                let can_move = can_move.contains(&joint);
+                // Zero and direction of one joint are two causes.
+                with_joint_fault(thin, &base, &frames, joint, can_move).into_iter().take(2)
             })
         })
         .collect();

@@ -78,69 +78,53 @@ impl SingleJoint {
         Self { values, required, is_prismatic: slides, span: view.spans[map.from[joint]] }
     }
 
-    /// Best zero and its score (higher is better).
-    pub fn best_zero(&self, factor: f64) -> (f64, f64) {
+    /// Best zero, or 0 without one, and its score (higher is better).
+    pub fn best_zero(&self, factor: f64, has_zero: bool) -> (f64, f64) {
+        let samples = self.values.iter().zip(&self.required);
         if self.is_prismatic {
-            let offs = || self.values.iter().zip(&self.required).map(|(v, w)| w[0] - factor * v);
-            let zero = mean(offs());
-            return (zero, -offs().map(|off| (off - zero).powi(2)).sum::<f64>());
+            let offs = samples.map(|(value, required)| required[0] - factor * value);
+            let zero = if has_zero { mean(offs.clone()) } else { 0.0 };
+            return (zero, -offs.map(|off| (off - zero).powi(2)).sum::<f64>());
         }
         let (mut real, mut imaginary) = (0.0, 0.0);
-        for (value, [a, b]) in self.values.iter().zip(&self.required) {
+        for (value, [a, b]) in samples {
             // z·exp(−i·s·v)
             let (sin, cos) = (factor * value).sin_cos();
             real += a * cos + b * sin;
             imaginary += b * cos - a * sin;
         }
-        (imaginary.atan2(real), real.hypot(imaginary))
+        if has_zero { (imaginary.atan2(real), real.hypot(imaginary)) } else { (0.0, real) }
     }
 
-    /// Zero offset 0.
-    pub fn score_without_zero(&self, factor: f64) -> f64 {
-        let samples = self.values.iter().zip(&self.required);
-        if self.is_prismatic {
-            return -samples.map(|(v, w)| (w[0] - factor * v).powi(2)).sum::<f64>();
-        }
-        let part = |(value, [a, b]): (&f64, &[f64; 2])| {
-            let (sin, cos) = (factor * value).sin_cos();
-            a * cos + b * sin
-        };
-        samples.map(part).sum()
-    }
-
-    /// Best with a free zero, and without one.
-    pub fn factors(&self) -> Vec<(f64, f64)> {
+    /// Best factor and zero, or 0 without one. `None` if the joint does not move.
+    pub fn best_factor(&self, has_zero: bool) -> Option<(f64, f64)> {
         const MAX_RANGE_RAD: f64 = 2.5 * TAU;
         /// Joints with a smaller range do not determine their scale.
         const SPECTRAL_LINE_RAD: f64 = PI / 16.0;
-        let width = self.span[1] - self.span[0];
-        let largest = self.span[0].abs().max(self.span[1].abs());
-        if width <= 0.0 {
-            return Vec::new();
+        let [low, high] = self.span;
+        if high <= low {
+            return None;
         }
         if self.is_prismatic {
-            return self.line();
+            return Some(self.line(has_zero));
         }
-        let best = |lines: usize, step: f64, well: &dyn Fn(f64) -> f64| {
-            let lines = (0..=2 * lines).map(|i| (i as f64 - lines as f64) * step);
-            let best = lines.map(|s| (well(s), s)).max_by(|a, b| a.0.total_cmp(&b.0));
-            best.map_or(1.0, |(_, s)| s)
-        };
-        let lines = (MAX_RANGE_RAD / SPECTRAL_LINE_RAD) as usize;
-        let with_zero = best(lines, SPECTRAL_LINE_RAD / width, &|s| self.best_zero(s).1);
-        let without = best(lines, SPECTRAL_LINE_RAD / largest, &|s| self.score_without_zero(s));
-        vec![(with_zero, self.best_zero(with_zero).0), (without, 0.0)]
+        let widest = if has_zero { high - low } else { low.abs().max(high.abs()) };
+        let lines = (MAX_RANGE_RAD / SPECTRAL_LINE_RAD) as i32;
+        let tried = (-lines..=lines).map(|line| {
+            let factor = f64::from(line) * (SPECTRAL_LINE_RAD / widest);
+            let (zero, score) = self.best_zero(factor, has_zero);
+            (score, (factor, zero))
+        });
+        tried.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, best)| best)
     }
 
-    /// Regression for a prismatic joint, with and without a zero.
-    fn line(&self) -> Vec<(f64, f64)> {
+    /// Regression for a prismatic joint.
+    fn line(&self, has_zero: bool) -> (f64, f64) {
         let mean = |of: &dyn Fn(usize) -> f64| mean((0..self.values.len()).map(of));
         let (v, w) = (|k: usize| self.values[k], |k: usize| self.required[k][0]);
-        let (mean_v, mean_w) = (mean(&v), mean(&w));
-        let slope = |v0: f64, w0: f64| {
-            mean(&|k| (v(k) - v0) * (w(k) - w0)) / mean(&|k| (v(k) - v0).powi(2)).max(1e-18)
-        };
-        let with_zero = slope(mean_v, mean_w);
-        vec![(with_zero, mean_w - with_zero * mean_v), (slope(0.0, 0.0), 0.0)]
+        let (v0, w0) = if has_zero { (mean(&v), mean(&w)) } else { (0.0, 0.0) };
+        let slope =
+            mean(&|k| (v(k) - v0) * (w(k) - w0)) / mean(&|k| (v(k) - v0).powi(2)).max(1e-18);
+        (slope, w0 - slope * v0)
     }
 }
