@@ -23,7 +23,6 @@ use crate::priors::LEVER_M;
 use crate::samples::sampling::as_rotations;
 use crate::selection::evidence::log_bayes_factor;
 use crate::selection::held_out::HeldOut;
-use crate::selection::model_selection::Cause;
 pub(super) use crate::selection::model_selection::FIT_SAMPLES;
 use crate::selection::nominal_model::{is_calibratable, is_calibratable_frame};
 use crate::{
@@ -36,7 +35,7 @@ use fit::{fit, with_timings};
 use ground::geometry::{Convention, QuaternionOrderError};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
-use stream::{no_diagnosis, stream_diagnosis};
+use stream::{StreamFit, no_diagnosis};
 use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
 /// Whether the streams are compared with poses instead of joint states.
@@ -52,55 +51,71 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64)
     if are_floating(streams) {
         return diagnose_arm_encoded(joints, streams, max_lag_s, JointEncoding::default());
     }
-    let search = EncodingSearch::new(joints, streams, max_lag_s);
-    let as_logged = JointEncoding::default();
-    let (mut encoding, metres) = search.estimate();
-    let mut result = search.diagnose_as(encoding.as_ref().unwrap_or(&as_logged));
-    if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
-        (encoding, result) = (Err(NotObservable::NotExcited), search.as_logged().clone());
+    let mut search = EncodingSearch::new(joints, streams, max_lag_s);
+    let mut result = match search.estimate() {
+        Ok(encoding) => search.diagnose_as(encoding),
+        Err(why) => EncodingResult { encoding: Err(why), ..search.logged.diagnose() },
+    };
+    let is_default = |encoding: &JointEncoding| *encoding == JointEncoding::default();
+    if !result.encoding.as_ref().map_or(true, is_default) && !result.is_credible() {
+        let encoding = Err(NotObservable::NotExcited);
+        result = EncodingResult { encoding, ..search.as_logged().clone() };
     }
-    if encoding.as_ref().map_or(true, JointEncoding::is_as_logged) {
+    if !result.is_in_other_encoding() {
         result = search.logged.or_standard(result);
     } else if search.spoils_agreement(&result) {
-        (encoding, result) = (Ok(as_logged), search.as_logged().clone());
+        result = search.as_logged().clone();
     }
-    let is_open = encoding.is_err() || result.is_far_from_fk();
-    if is_open && let Some((other, by_other)) = search.likely(&metres, &result) {
-        (encoding, result) = (Ok(other), by_other);
+    let is_open = result.encoding.is_err() || result.is_far_from_fk();
+    if is_open && let Some(likely) = search.likely(&result) {
+        result = likely;
     }
-    if encoding.is_ok()
-        && let Some((other, by_other)) = search.of_unexplained(&metres, &result)
+    if result.encoding.is_ok()
+        && let Some(other) = search.of_unexplained(&result)
     {
-        (encoding, result) = (Ok(other), by_other);
+        result = other;
     }
-    match &encoding {
-        Ok(other) if !other.is_as_logged() => search.likelier(encoding, result),
-        // If no stream follows FK, the encoding is undetermined.
-        Ok(_) if result.is_far_from_fk() => result.into_diagnosis(Err(NotObservable::NotExcited)),
-        _ => result.into_diagnosis(encoding),
+    if result.is_in_other_encoding() {
+        return search.likelier(result);
     }
+    if result.encoding.is_ok() && result.is_far_from_fk() {
+        // No stream follows FK.
+        result.encoding = Err(NotObservable::NotExcited);
+    }
+    result.into_diagnosis()
 }
 
 /// Joint states in an encoding, and the encodings of the streams' positions that they show.
 struct EncodedRun<'a> {
     joints: &'a JointTrack,
+    encoding: JointEncoding,
     corrected: CorrectedJoints,
     streams: &'a [PoseStream<'a>],
     position_encodings: Vec<PositionEncodingEstimate>,
 }
 
 impl<'a> EncodedRun<'a> {
+    /// `are_derived`: whether the streams are computed from the joint states.
     fn new(
         joints: &'a JointTrack,
-        corrected: CorrectedJoints,
         streams: &'a [PoseStream<'a>],
         max_lag_s: f64,
+        encoding: JointEncoding,
+        are_derived: bool,
     ) -> Self {
+        let mut is_prismatic = vec![false; joints.dof];
+        for stream in streams {
+            for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
+                is_prismatic[column] = *kind == JointKind::Prismatic;
+            }
+        }
+        let corrected = CorrectedJoints::new(joints, &encoding, &is_prismatic);
+        let corrected = if are_derived { corrected.for_derived() } else { corrected };
         let track = corrected.approximate_track();
         let estimate =
             |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, max_lag_s);
         let position_encodings = streams.iter().map(estimate).collect();
-        Self { joints, corrected, streams, position_encodings }
+        Self { joints, encoding, corrected, streams, position_encodings }
     }
 
     fn diagnose(&self) -> EncodingResult {
@@ -109,7 +124,68 @@ impl<'a> EncodedRun<'a> {
 
     /// The same with other encodings of the positions.
     fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> EncodingResult {
-        diagnose(self.joints, &self.corrected, self.streams, position_encodings)
+        let Self { joints, corrected, streams, .. } = self;
+        let decode = |(stream, position_encoding): (&PoseStream<'a>, _)| {
+            decode_stream(corrected, stream, position_encoding)
+        };
+        let decoded: Vec<EstimateResult<DecodedStream>> =
+            streams.iter().zip(position_encodings).map(decode).collect();
+        let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
+        let observations: Vec<&PoseObservations> =
+            usable.iter().map(|decoded| &decoded.observations).collect();
+        let has_zeros = !corrected.is_derived && !are_floating(streams);
+        let mut result = EncodingResult {
+            encoding: Ok(self.encoding.clone()),
+            offsets: Vec::new(),
+            scales: Vec::new(),
+            couplings: Vec::new(),
+            streams: Vec::new(),
+        };
+        let Some(fitted) = fit(&usable, &observations, corrected) else {
+            let why: Vec<NotObservable> = decoded.into_iter().filter_map(Result::err).collect();
+            if has_zeros {
+                let why = why.first().unwrap_or(&NotObservable::NoOverlap);
+                result.offsets = unobservable_offsets(joints.dof, why);
+            }
+            result.streams = why.into_iter().map(no_diagnosis).collect();
+            return result;
+        };
+        let fitted = &with_timings(fitted, &observations);
+        let held_out = &HeldOut::new(&observations, &fitted.model, &fitted.candidates);
+        let beside_links = &match corrected.is_derived {
+            false => BesideLinks::new(fitted, &usable),
+            true => BesideLinks::default(),
+        };
+        if has_zeros {
+            let track = &corrected.track;
+            result.offsets = joint_offsets(fitted, &usable, track, held_out, beside_links);
+            result.scales = joint_scales(fitted, corrected);
+            result.couplings = joint_couplings(fitted, corrected);
+        }
+        let mut index = 0;
+        for ((stream, position_encoding), decoded) in
+            streams.iter().zip(position_encodings).zip(&decoded)
+        {
+            result.streams.push(match decoded {
+                Ok(decoded) => {
+                    let recorded = joints;
+                    let of_stream = StreamFit {
+                        recorded,
+                        stream,
+                        position_encoding,
+                        decoded,
+                        fitted,
+                        held_out,
+                        beside_links,
+                        index,
+                    };
+                    index += 1;
+                    of_stream.diagnose()
+                }
+                Err(why) => no_diagnosis(why.clone()),
+            });
+        }
+        result
     }
 
     /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
@@ -133,7 +209,10 @@ impl<'a> EncodedRun<'a> {
             && standard.parameter_count() <= result.parameter_count();
         // A small misreading is near FK, too.
         let is_near = are_otherwise_placed && standard.streams.iter().all(is_near_as_logged);
-        if is_near || is_sufficient { standard } else { result }
+        match is_near || is_sufficient {
+            true => EncodingResult { encoding: result.encoding, ..standard },
+            false => result,
+        }
     }
 }
 
@@ -141,24 +220,31 @@ impl<'a> EncodedRun<'a> {
 struct EncodingSearch<'a> {
     logged: EncodedRun<'a>,
     max_lag_s: f64,
+    /// Unit of each stream's positions, in metres.
+    metres: Vec<f64>,
     as_logged: OnceCell<EncodingResult>,
     has_change: OnceCell<bool>,
 }
 
 impl<'a> EncodingSearch<'a> {
     fn new(joints: &'a JointTrack, streams: &'a [PoseStream<'a>], max_lag_s: f64) -> Self {
-        let corrected = decode_joints(joints, streams, &JointEncoding::default());
-        let logged = EncodedRun::new(joints, corrected, streams, max_lag_s);
-        Self { logged, max_lag_s, as_logged: OnceCell::new(), has_change: OnceCell::new() }
+        let logged = EncodedRun::new(joints, streams, max_lag_s, JointEncoding::default(), false);
+        let metres = logged.position_encodings.iter().map(PositionEncodingEstimate::metres);
+        Self {
+            metres: metres.collect(),
+            logged,
+            max_lag_s,
+            as_logged: OnceCell::new(),
+            has_change: OnceCell::new(),
+        }
     }
 
-    fn diagnose_as(&self, encoding: &JointEncoding) -> EncodingResult {
-        if *encoding == JointEncoding::default() {
+    fn diagnose_as(&self, encoding: JointEncoding) -> EncodingResult {
+        if encoding == JointEncoding::default() {
             return self.logged.diagnose();
         }
         let EncodedRun { joints, streams, .. } = self.logged;
-        let corrected = decode_joints(joints, streams, encoding);
-        EncodedRun::new(joints, corrected, streams, self.max_lag_s).diagnose()
+        EncodedRun::new(joints, streams, self.max_lag_s, encoding, false).diagnose()
     }
 
     fn as_logged(&self) -> &EncodingResult {
@@ -170,69 +256,62 @@ impl<'a> EncodingSearch<'a> {
         self.logged.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
     }
 
-    fn has_change(&self, metres: &[f64]) -> bool {
+    fn has_change(&self) -> bool {
         let EncodedRun { joints, streams, .. } = self.logged;
-        let by_motion = || has_change_within_run(joints, streams, metres, self.max_lag_s);
+        let by_motion = || has_change_within_run(joints, streams, &self.metres, self.max_lag_s);
         *self.has_change.get_or_init(by_motion)
     }
 
-    /// Encoding by the motion, and the unit of each stream's positions.
-    fn estimate(&self) -> (EstimateResult<JointEncoding>, Vec<f64>) {
-        let EncodedRun { joints, corrected, streams, position_encodings } = &self.logged;
-        let max_lag_s = self.max_lag_s;
-        let metres: Vec<f64> =
-            position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
+    /// Encoding by the motion. Sets the unit of each stream's positions.
+    fn estimate(&mut self) -> EstimateResult<JointEncoding> {
+        let EncodedRun { joints, corrected, streams, position_encodings, .. } = &self.logged;
         let is_confirmed = |(stream, encoding): (&PoseStream, &PositionEncodingEstimate)| {
             encoding.needs_correction()
                 && decode_stream(corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
         };
         if streams.iter().zip(position_encodings).any(is_confirmed) {
             // The joint states need no other encoding.
-            return (Ok(JointEncoding::default()), metres);
+            return Ok(JointEncoding::default());
         }
-        let encoding = estimate_joint_encoding(joints, streams, &metres, max_lag_s);
+        let estimate =
+            |metres: &[f64]| estimate_joint_encoding(joints, streams, metres, self.max_lag_s);
+        let encoding = estimate(&self.metres);
         if encoding.is_ok() {
-            return (encoding, metres);
+            return encoding;
         }
         // Wrong joint encodings can imitate another unit.
-        let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
-        let by_other = |other: Vec<f64>| {
-            let encoding = estimate_joint_encoding(joints, streams, &other, max_lag_s).ok()?;
-            (!encoding.is_as_logged()).then_some((Ok(encoding), other))
-        };
-        let mut others = others.into_iter().filter(|other| *other != metres);
-        others.find_map(by_other).unwrap_or((encoding, metres))
+        for other in [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()] {
+            if other != self.metres
+                && let Ok(encoding) = estimate(&other)
+                && !encoding.is_as_logged()
+            {
+                self.metres = other;
+                return Ok(encoding);
+            }
+        }
+        encoding
     }
 
     /// Likely encoding that explains far more than `result`, where other faults hid the encoding.
-    fn likely(
-        &self,
-        metres: &[f64],
-        result: &EncodingResult,
-    ) -> Option<(JointEncoding, EncodingResult)> {
+    fn likely(&self, result: &EncodingResult) -> Option<EncodingResult> {
         let before_m = result.total_residual_m();
-        if before_m <= FLOOR_M || self.has_change(metres) {
+        if before_m <= FLOOR_M || self.has_change() {
             return None;
         }
         let EncodedRun { joints, streams, .. } = self.logged;
-        let all = likely_encodings(joints, streams, metres, self.max_lag_s);
-        let explains = |likely: LikelyEncoding| {
-            let by_likely = self.diagnose_as(&likely.encoding);
+        let all = likely_encodings(joints, streams, &self.metres, self.max_lag_s);
+        let explains = |LikelyEncoding { encoding, by_range }: LikelyEncoding| {
+            let by_likely = self.diagnose_as(encoding);
             let after_m = by_likely.total_residual_m();
-            let is_better = (likely.by_range && after_m * MIN_IMPROVEMENT_BY_RANGE < before_m)
+            let is_better = (by_range && after_m * MIN_IMPROVEMENT_BY_RANGE < before_m)
                 || (by_likely.is_credible() && after_m * MIN_IMPROVEMENT < before_m);
-            (is_better && !self.spoils_agreement(&by_likely))
-                .then_some((likely.encoding, by_likely))
+            (is_better && !self.spoils_agreement(&by_likely)).then_some(by_likely)
         };
         all.into_iter().find_map(explains)
     }
 
     /// Encoding that explains the stream with the largest residual, if it explains far more than `result`.
-    fn of_unexplained(
-        &self,
-        metres: &[f64],
-        result: &EncodingResult,
-    ) -> Option<(JointEncoding, EncodingResult)> {
+    fn of_unexplained(&self, result: &EncodingResult) -> Option<EncodingResult> {
         let (index, residual) = result.largest_unexplained()?;
         let joints = self.logged.joints;
         let (stream, found) = (&self.logged.streams[index], &result.streams[index]);
@@ -248,35 +327,28 @@ impl<'a> EncodingSearch<'a> {
             }
             Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
         };
-        let by_residual = match self.has_change(metres) {
-            false => {
-                let lags_s = (lag_s, self.max_lag_s);
-                other_encoding(joints, stream, metres[index], lags_s, residual)
-            }
+        let lags_s = (lag_s, self.max_lag_s);
+        let by_residual = match self.has_change() {
+            false => other_encoding(joints, stream, self.metres[index], lags_s, residual),
             true => None,
         };
         let last = stream.columns.last().filter(|_| is_unread);
         let other =
             by_residual.or_else(|| last.map(|&last| JointEncoding::reversed(last, residual.m)))?;
-        let by_other = self.diagnose_as(&other);
+        let by_other = self.diagnose_as(other);
         let is_better = by_other.is_credible()
             && by_other.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m()
             && !self.spoils_agreement(&by_other);
-        is_better.then_some((other, by_other))
+        is_better.then_some(by_other)
     }
 
     /// The likelier of `result` and the logged encoding: where joints hardly move, other encodings fit as well as
     /// calibrations.
-    fn likelier(
-        &self,
-        encoding: EstimateResult<JointEncoding>,
-        result: EncodingResult,
-    ) -> ArmDiagnosis {
-        let is_far = encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
+    fn likelier(&self, result: EncodingResult) -> ArmDiagnosis {
+        let is_far = result.encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
         let is_plausible = is_far && self.as_logged().is_plausible_for(self.logged.streams);
-        let otherwise = result.into_diagnosis(encoding);
-        let as_logged = self.logged.or_standard(self.as_logged().clone());
-        let as_logged = as_logged.into_diagnosis(Ok(JointEncoding::default()));
+        let otherwise = result.into_diagnosis();
+        let as_logged = self.logged.or_standard(self.as_logged().clone()).into_diagnosis();
         match !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0 {
             true => otherwise,
             false => as_logged,
@@ -291,9 +363,8 @@ pub(super) fn diagnose_arm_encoded(
     max_lag_s: f64,
     encoding: JointEncoding,
 ) -> ArmDiagnosis {
-    let corrected = decode_joints(joints, streams, &encoding);
-    let run = EncodedRun::new(joints, corrected, streams, max_lag_s);
-    run.or_standard(run.diagnose()).into_diagnosis(Ok(encoding))
+    let run = EncodedRun::new(joints, streams, max_lag_s, encoding, false);
+    run.or_standard(run.diagnose()).into_diagnosis()
 }
 
 /// Counts as 1: less than 0.1° per turn.
@@ -308,8 +379,10 @@ const MAX_SCALE_RATIO: f64 = 1.01;
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_M: f64 = 5e-3;
 
-#[derive(Clone, Default)]
+#[derive(Clone)]
 struct EncodingResult {
+    /// Of the joint states, before refining its scales and couplings.
+    encoding: EstimateResult<JointEncoding>,
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
     couplings: Vec<JointCoupling>,
@@ -317,6 +390,10 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
+    fn is_in_other_encoding(&self) -> bool {
+        self.encoding.as_ref().is_ok_and(|encoding| !encoding.is_as_logged())
+    }
+
     /// Whether each stream in a known frame is near FK as logged, and each other one is explained.
     fn is_plausible_for(&self, streams: &[PoseStream]) -> bool {
         let is_plausible = |(found, stream): (&PoseDiagnosis, &PoseStream)| {
@@ -335,9 +412,9 @@ impl EncodingResult {
             + self.streams.iter().filter(|stream| is_misread(stream)).count()
     }
 
-    /// The diagnosis, with refined scales and couplings in `encoding`. Those that are 1 and 0 are left out.
-    fn into_diagnosis(self, mut encoding: EstimateResult<JointEncoding>) -> ArmDiagnosis {
-        let Self { offsets, mut scales, mut couplings, streams } = self;
+    /// The diagnosis, with refined scales and couplings in the encoding. Those that are 1 and 0 are left out.
+    fn into_diagnosis(self) -> ArmDiagnosis {
+        let Self { mut encoding, offsets, mut scales, mut couplings, streams } = self;
         if let Ok(encoding) = &mut encoding {
             for unit_error in &mut encoding.unit_errors {
                 let refined = scales.iter().find(|scale| scale.column == unit_error.column);
@@ -549,8 +626,8 @@ pub fn diagnose_derived(
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
     let diagnose_as = |encoding: &JointEncoding| {
-        let corrected = decode_joints(joints, streams, encoding).for_derived();
-        EncodedRun::new(joints, corrected, streams, max_lag_s).diagnose().streams.remove(0)
+        let run = EncodedRun::new(joints, streams, max_lag_s, encoding.clone(), true);
+        run.diagnose().streams.remove(0)
     };
     let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
@@ -592,86 +669,4 @@ pub fn follows_with_other_encoding(
 /// Candidate lags from speeds, best first.
 pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Vec<LagPeak> {
     stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, max_lag_s)
-}
-
-/// Joint states in this encoding.
-fn decode_joints(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    encoding: &JointEncoding,
-) -> CorrectedJoints {
-    let mut is_prismatic = vec![false; joints.dof];
-    for stream in streams {
-        for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
-            is_prismatic[column] = *kind == JointKind::Prismatic;
-        }
-    }
-    CorrectedJoints::new(joints, encoding, &is_prismatic)
-}
-
-fn diagnose(
-    recorded: &JointTrack,
-    corrected: &CorrectedJoints,
-    streams: &[PoseStream],
-    position_encodings: &[PositionEncodingEstimate],
-) -> EncodingResult {
-    let joints = &corrected.track;
-    let decoded: Vec<EstimateResult<DecodedStream>> = streams
-        .iter()
-        .zip(position_encodings)
-        .map(|(stream, position_encoding)| decode_stream(corrected, stream, position_encoding))
-        .collect();
-    let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
-    let observations: Vec<&PoseObservations> =
-        usable.iter().map(|decoded| &decoded.observations).collect();
-    let fitted = fit(&usable, &observations, corrected);
-    let fitted = fitted.map(|fitted| with_timings(fitted, &observations));
-    let fitted = fitted.as_ref().map(|fitted| {
-        let held_out = HeldOut::new(&observations, &fitted.model, &fitted.candidates);
-        let beside_links = match corrected.is_derived {
-            false => BesideLinks::new(fitted, &usable),
-            true => BesideLinks::default(),
-        };
-        (fitted, held_out, beside_links)
-    });
-    let mut result = EncodingResult::default();
-    match &fitted {
-        _ if corrected.is_derived || are_floating(streams) => {}
-        Some((fitted, held_out, beside_links)) => {
-            result.offsets = joint_offsets(fitted, &usable, joints, held_out, beside_links);
-            result.scales = joint_scales(fitted, corrected);
-            result.couplings = joint_couplings(fitted, corrected);
-        }
-        None => {
-            let why = decoded.iter().find_map(|decoded| decoded.as_ref().err());
-            let why = why.unwrap_or(&NotObservable::NoOverlap);
-            result.offsets = unobservable_offsets(joints.dof, why);
-        }
-    }
-    let mut used = 0;
-    for ((stream, decoded), position_encoding) in
-        streams.iter().zip(&decoded).zip(position_encodings)
-    {
-        result.streams.push(match (decoded, &fitted) {
-            (Ok(decoded), Some((fitted, held_out, beside_links))) => {
-                let index = used;
-                used += 1;
-                let found =
-                    stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, index);
-                let widen = |scale| beside_links.widen(Cause::RadialScale(index), scale);
-                let widen_frame = |cause, frame| beside_links.widen_frame(cause, frame);
-                PoseDiagnosis {
-                    held_out: held_out.of_stream(index),
-                    radial_scale: found.radial_scale.map(widen),
-                    reference: found.reference.map(|it| widen_frame(Cause::Reference(index), it)),
-                    tool: found.tool.map(|it| widen_frame(Cause::Tool(index), it)),
-                    ..found
-                }
-                .without_overfitted_causes()
-            }
-            (Ok(_), None) => no_diagnosis(NotObservable::NoOverlap),
-            (Err(why), _) => no_diagnosis(why.clone()),
-        });
-    }
-    result
 }

@@ -1,6 +1,7 @@
 //! Diagnosis of one stream from a fit.
 
 use super::align::{align, fk_at_latency};
+use super::beside_links::BesideLinks;
 use super::confounders::{are_collinear, measured};
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
@@ -14,6 +15,7 @@ use crate::model::measurement::StreamState;
 use crate::model::observability::Observability;
 use crate::residuals::excess::excess_residual;
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, range_of, rest_speeds};
+use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::{Cause, SelectedModel};
 use crate::selection::nominal_model::{Timing, is_unsteady_beside_links};
 use crate::{
@@ -66,7 +68,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
 
 impl PoseDiagnosis {
     /// Deselects causes that do not reduce the error on held-out samples.
-    pub(super) fn without_overfitted_causes(mut self) -> Self {
+    fn without_overfitted_causes(mut self) -> Self {
         let is_lower = |held_out: &Option<HeldOutResidual>| {
             held_out.is_none_or(|held_out| held_out.is_lower())
         };
@@ -128,86 +130,86 @@ fn constant_coordinates(
     constant.map(part).collect()
 }
 
-pub(super) fn stream_diagnosis(
-    recorded: &JointTrack,
-    stream: &PoseStream,
-    position_encoding: &PositionEncodingEstimate,
-    decoded: &DecodedStream,
-    fitted: &ArmFit,
-    index: usize,
-) -> PoseDiagnosis {
-    let stream_fit = StreamFit { recorded, stream, decoded, fitted, index };
-    let ArmFit { model, candidates, deviations, .. } = fitted;
-    let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
-    let is_chosen = |cause: Cause| model.causes.contains(&cause);
-    let aligned = align(recorded, stream, decoded, model, index);
-    let (latency_s, delay_jitter) = stream_fit.latency(&aligned);
-    let (latency_profile, unconfirmed_latency) = match &latency_s {
-        Ok(_) => stream_fit.latency_profile(&aligned),
-        Err(why) => (Err(why.clone()), None),
-    };
-    let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
-    let mut encoding = decoded.encoding.clone();
-    if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
-        // Latency, offsets and frames are now corrected.
-        encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
-    }
-    let information = model.linear.information_of(index);
-    let observability =
-        Observability::new(&decoded.observations, stream_state, zeros, &information);
-    let found = PoseDiagnosis {
-        encoding,
-        length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
-        axes: Ok(decoded.axes),
-        is_inverted: decoded.is_inverted,
-        constant_coordinates: constant_coordinates(stream, decoded, &aligned),
-        degrees: decoded.degrees,
-        latency_s,
-        delay_jitter,
-        skew: stream_fit.skew(),
-        is_skew_chosen: is_chosen(Cause::Skew(index)),
-        latency_profile,
-        unconfirmed_latency,
-        radial_scale: stream_fit.estimate(Cause::RadialScale(index)),
-        is_radial_scale_chosen: is_chosen(Cause::RadialScale(index)),
-        reference: stream_fit.frame(Cause::Reference(index)),
-        tool: stream_fit.frame(Cause::Tool(index)),
-        frame_correction: stream_state.frame_correction(),
-        residual,
-        is_nominal: deviations.is_some(),
-        link_m: deviations.as_ref().map(|deviations| deviations.link_m),
-        largest_displacement: deviations
-            .as_ref()
-            .and_then(|deviations| deviations.largest_displacement),
-        observability: Some(observability),
-        top_speed_m_s: position_encoding.top_speed_m_s,
-        aligned,
-        // Changes and held-out residuals follow.
-        ..no_diagnosis(NotObservable::NotExcited)
-    };
-    if !found.is_nominal {
-        return found;
-    }
-    let is_free = |cause: Cause| candidates.always.contains(&cause) || is_chosen(cause);
-    let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
-    let [reference, tool] = frames_with_links(&found, stream.chain, free);
-    PoseDiagnosis {
-        reference: reference.map_or(found.reference, Ok),
-        tool: tool.map_or(found.tool, Ok),
-        ..found
-    }
-}
-
 /// One stream in the common fit of all.
-struct StreamFit<'a> {
-    recorded: &'a JointTrack,
-    stream: &'a PoseStream<'a>,
-    decoded: &'a DecodedStream<'a>,
-    fitted: &'a ArmFit,
-    index: usize,
+pub(super) struct StreamFit<'a> {
+    pub recorded: &'a JointTrack,
+    pub stream: &'a PoseStream<'a>,
+    pub position_encoding: &'a PositionEncodingEstimate,
+    pub decoded: &'a DecodedStream<'a>,
+    pub fitted: &'a ArmFit,
+    pub held_out: &'a HeldOut<'a>,
+    pub beside_links: &'a BesideLinks,
+    /// Among the fitted streams.
+    pub index: usize,
 }
 
 impl StreamFit<'_> {
+    pub fn diagnose(&self) -> PoseDiagnosis {
+        let Self { recorded, stream, position_encoding, decoded, fitted, index, .. } = *self;
+        let ArmFit { model, candidates, deviations, .. } = fitted;
+        let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
+        let is_chosen = |cause: Cause| model.causes.contains(&cause);
+        let scale = Cause::RadialScale(index);
+        let aligned = align(recorded, stream, decoded, model, index);
+        let (latency_s, delay_jitter) = self.latency(&aligned);
+        let (latency_profile, unconfirmed_latency) = match &latency_s {
+            Ok(_) => self.latency_profile(&aligned),
+            Err(why) => (Err(why.clone()), None),
+        };
+        let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
+        let mut encoding = decoded.encoding.clone();
+        if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
+            // Latency, offsets and frames are now corrected.
+            encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
+        }
+        let information = model.linear.information_of(index);
+        let observability =
+            Observability::new(&decoded.observations, stream_state, zeros, &information);
+        let found = PoseDiagnosis {
+            encoding,
+            length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
+            axes: Ok(decoded.axes),
+            is_inverted: decoded.is_inverted,
+            constant_coordinates: constant_coordinates(stream, decoded, &aligned),
+            degrees: decoded.degrees,
+            latency_s,
+            delay_jitter,
+            skew: self.skew(),
+            is_skew_chosen: is_chosen(Cause::Skew(index)),
+            latency_profile,
+            unconfirmed_latency,
+            radial_scale: self.estimate(scale).map(|it| self.beside_links.widen(scale, it)),
+            is_radial_scale_chosen: is_chosen(scale),
+            reference: self.frame(Cause::Reference(index)),
+            tool: self.frame(Cause::Tool(index)),
+            frame_correction: stream_state.frame_correction(),
+            residual,
+            is_nominal: deviations.is_some(),
+            link_m: deviations.as_ref().map(|deviations| deviations.link_m),
+            largest_displacement: deviations
+                .as_ref()
+                .and_then(|deviations| deviations.largest_displacement),
+            observability: Some(observability),
+            top_speed_m_s: position_encoding.top_speed_m_s,
+            aligned,
+            held_out: self.held_out.of_stream(index),
+            // Changes follow.
+            ..no_diagnosis(NotObservable::NotExcited)
+        };
+        if !found.is_nominal {
+            return found.without_overfitted_causes();
+        }
+        let is_free = |cause: Cause| candidates.always.contains(&cause) || is_chosen(cause);
+        let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
+        let [reference, tool] = frames_with_links(&found, stream.chain, free);
+        PoseDiagnosis {
+            reference: reference.map_or(found.reference, Ok),
+            tool: tool.map_or(found.tool, Ok),
+            ..found
+        }
+        .without_overfitted_causes()
+    }
+
     /// The chosen causes and this one.
     fn causes_with(&self, cause: Cause) -> Vec<Cause> {
         let mut causes = self.fitted.model.causes.clone();
@@ -245,7 +247,9 @@ impl StreamFit<'_> {
         if is_hidden(self.fitted, cause, self.index) {
             return Err(NotObservable::NotExcited);
         }
-        frame_estimate(model, candidates, &self.causes_with(cause), cause, self.index)
+        let causes = self.causes_with(cause);
+        let found = frame_estimate(model, candidates, &causes, cause, self.index)?;
+        Ok(self.beside_links.widen_frame(cause, found))
     }
 
     /// Latency, and the jitter of the delays if they are measured one by one.
