@@ -339,6 +339,7 @@ impl DeviationModel {
             link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = observations.columns.len();
         let (columns, kinds) = parameters(observations, state);
+        // Position and rotation of each sample.
         if 6 * linear.len() <= kinds.len() {
             return None;
         }
@@ -366,11 +367,11 @@ impl DeviationModel {
 
     /// Links and zeros with deviations.
     fn groups(&self) -> impl Iterator<Item = usize> {
-        let has = |group: usize| {
-            let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group: own, .. } if *own == group);
-            self.kinds.iter().any(is_its)
-        };
-        (0..self.joints + 2).filter(move |group| has(*group))
+        (0..self.joints + 2).filter(|own| {
+            self.kinds.iter().any(
+                |kind| matches!(kind, DeviationParameter::Deviation { group, .. } if group == own),
+            )
+        })
     }
 
     fn fit_with(&self, additional: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
@@ -480,8 +481,9 @@ impl DeviationModel {
     /// Twice the log-likelihood at the likeliest size of each link's deviations.
     fn evidence_of_unequal_links(&self, additional: &AdditionalCauses) -> f64 {
         let by_size = self.fits_by_size(additional);
-        let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fit)| fit);
-        let likeliest = start.and_then(|fit| self.maximize_likelihood(additional, &fit.sizes_m));
+        let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        let likeliest =
+            start.and_then(|(_, fit)| self.maximize_likelihood(additional, &fit.sizes_m));
         likeliest.map_or(f64::NEG_INFINITY, |fit| {
             fit.evidence + Self::log_prior(self.typical_size_m(&fit.sizes_m))
         })
@@ -564,15 +566,14 @@ impl DeviationModel {
         self.maximize_likelihood(&none, &best.sizes_m)
     }
 
-    /// One fit per joint not in `zeros` or `but`.
+    /// One fit per joint that is not `excluded`.
     fn with_one_more_zero(
         &self,
         zeros: &[usize],
         sizes_m: &[f64],
-        but: &[usize],
+        excluded: &[usize],
     ) -> Vec<(usize, DeviationFit)> {
-        let others =
-            (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
+        let others = (0..self.joints).filter(|joint| !excluded.contains(joint));
         let with = |joint| {
             let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
             Some((joint, self.maximize_likelihood(&AdditionalCauses::zeros(&with), sizes_m)?))
@@ -590,13 +591,13 @@ impl DeviationModel {
             None => self.without_zeros()?,
         };
         while chosen.zeros.len() < MAX_ZEROS {
-            let with = self.with_one_more_zero(&chosen.zeros, &chosen.sizes_m, &[]);
-            let best = with.into_iter().max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
-            match best {
-                Some((_, best)) if best.evidence > chosen.evidence + MIN_LOG_RATIO_OF_ZERO => {
-                    chosen = best
-                }
-                _ => break,
+            let with = self.with_one_more_zero(&chosen.zeros, &chosen.sizes_m, &chosen.zeros);
+            let with = with.into_iter().map(|(_, with)| with);
+            let likeliest = with.max_by(|a, b| a.evidence.total_cmp(&b.evidence));
+            let min_evidence = chosen.evidence + MIN_LOG_RATIO_OF_ZERO;
+            match likeliest.filter(|likeliest| likeliest.evidence > min_evidence) {
+                Some(likeliest) => chosen = likeliest,
+                None => break,
             }
         }
         Some(chosen)
@@ -609,22 +610,17 @@ impl DeviationModel {
         observations: &PoseObservations,
         offsets: &[f64],
     ) -> LinkDeviations {
-        let absolute = |joint: usize, zero: Measured| {
-            let column = observations.columns[joint];
-            (column, Measured { value: offsets[column] + zero.value, ..zero })
+        let absolute = |fit: &DeviationFit, joint: usize| {
+            let zero = self.measured_zero(fit, joint)?;
+            Some(Measured { value: offsets[observations.columns[joint]] + zero.value, ..zero })
         };
         let mut zeros = vec![None; observations.joints.dof];
-        let others = self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &[]);
-        let named =
-            fit.zeros.iter().filter_map(|&joint| Some((joint, self.measured_zero(fit, joint)?)));
-        let additional = others
-            .iter()
-            .filter_map(|(joint, with)| Some((*joint, self.measured_zero(with, *joint)?)));
-        let informative =
-            additional.filter(|(_, zero)| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
-        for (joint, zero) in named.chain(informative) {
-            let (column, zero) = absolute(joint, zero);
-            zeros[column] = Some(zero);
+        for &joint in &fit.zeros {
+            zeros[observations.columns[joint]] = absolute(fit, joint);
+        }
+        for (joint, with) in self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &fit.zeros) {
+            zeros[observations.columns[joint]] = absolute(&with, joint)
+                .filter(|zero| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
         }
         let confounders_of = |&joint: &usize| {
             let others: Vec<usize> =
@@ -636,9 +632,9 @@ impl DeviationModel {
             // An insignificant zero replaces nothing: the scatter of all zeros explains the residual.
             let confounder = |(other, fit_with_zero): (usize, DeviationFit)| {
                 let zero = self.measured_zero(&fit_with_zero, other)?;
-                let is_significant = zero.value.abs() > zero.half_width(0.95);
-                let (column, zero) = absolute(other, zero);
-                is_significant.then_some(Confounder::JointZero(column, zero.value))
+                let column = observations.columns[other];
+                (zero.value.abs() > zero.half_width(0.95))
+                    .then(|| Confounder::JointZero(column, offsets[column] + zero.value))
             };
             (observations.columns[joint], as_likely.filter_map(confounder).collect())
         };

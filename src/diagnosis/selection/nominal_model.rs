@@ -11,7 +11,7 @@
 //! causes reduce the residual to noise.
 
 use crate::latency::profile::explains_excess;
-use crate::model::jacobian::{Derivative, link_derivatives};
+use crate::model::jacobian::link_derivatives;
 use crate::model::measurement::{
     FLOOR_M, FLOOR_RAD, PoseObservations, Prediction, State, StreamState,
 };
@@ -177,6 +177,7 @@ struct LinkFrameChanges {
     step: DVector<f64>,
     /// Normal equations of the changes, with their priors.
     normal: Normal,
+    /// Standard deviations of the prior.
     usual: Vec<f64>,
 }
 
@@ -213,7 +214,12 @@ impl LinkFrameChanges {
         stream_state: &StreamState,
         link_m: f64,
     ) -> Self {
-        let usual = |i: usize| usual_change(i, observations, stream_state, link_m);
+        // Wide for those free without a calibration, such as an undeclared tool.
+        let usual = |i: usize| match i % 6 {
+            _ if is_free_parameter(i, observations, stream_state) => FREE_PRIOR,
+            0..3 => link_m,
+            _ => LINK_PRIOR_RAD * link_m / LINK_PRIOR_M,
+        };
         let usual: Vec<f64> = (0..frames.width).map(usual).collect();
         let (mut weights, mut step) = (frames.first_weights(), DVector::zeros(frames.width));
         let mut normal = Normal::zeros(frames.width);
@@ -273,21 +279,6 @@ impl LinkFrameChanges {
     }
 }
 
-/// Prior on parameter `i` of [`link_frames`]. Wide for those free without a calibration, such as an
-/// undeclared tool.
-fn usual_change(
-    i: usize,
-    observations: &PoseObservations,
-    stream_state: &StreamState,
-    link_m: f64,
-) -> f64 {
-    match i % 6 {
-        _ if is_free_parameter(i, observations, stream_state) => FREE_PRIOR,
-        0..3 => link_m,
-        _ => LINK_PRIOR_RAD * link_m / LINK_PRIOR_M,
-    }
-}
-
 /// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
 pub(crate) fn is_free_parameter(
     i: usize,
@@ -322,48 +313,45 @@ pub(crate) fn link_frames(
     rows: impl Iterator<Item = usize>,
     with: FreeAlongside,
 ) -> Linear {
-    let (joints, blind) = (observations.columns.len(), observations.excluded);
-    let latency = 6 * (joints + 1);
-    let width = latency
-        + 1
+    let joints = observations.columns.len();
+    let width = 6 * (joints + 1)
         + match with {
-            FreeAlongside::Nothing => 0,
-            FreeAlongside::Skew => 1,
-            FreeAlongside::Zeros => joints,
-            FreeAlongside::ZerosAndRadialScale => joints + 1,
+            FreeAlongside::Nothing => 1,
+            FreeAlongside::Skew => 2,
+            FreeAlongside::Zeros => joints + 1,
+            FreeAlongside::ZerosAndRadialScale => joints + 2,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut predictor = observations.predictor(stream_state, offsets);
-    let mut links = Vec::new();
+    let (mut links, mut derivatives) = (Vec::new(), Vec::with_capacity(width));
     for k in rows {
         let Some(Prediction { jacobian, q, qd, .. }) = predictor.at(k) else { continue };
         observations.chain.joint_frames(q, &mut links);
-        let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
-        let mut set = |column: usize, derivative: Derivative| {
-            rows.set_all(column, blind.mask(derivative));
-        };
         let tip = jacobian.pose.translation.vector;
         let frames = links.iter().map(|link| stream_state.reference * link);
-        for (i, frame) in [stream_state.reference].into_iter().chain(frames).enumerate() {
-            for (axis, derivative) in link_derivatives(&frame, &tip).into_iter().enumerate() {
-                set(6 * i + axis, derivative);
-            }
+        derivatives.clear();
+        for frame in [stream_state.reference].into_iter().chain(frames) {
+            derivatives.extend(link_derivatives(&frame, &tip));
         }
         let late = jacobian.velocity(qd).map(|part| -part);
-        set(latency, late);
+        derivatives.push(late);
         match with {
             FreeAlongside::Nothing => {}
             FreeAlongside::Skew => {
                 let from_middle_s = observations.t_s[k] - observations.middle_s;
-                set(latency + 1, late.map(|part| from_middle_s * part));
+                derivatives.push(late.map(|part| from_middle_s * part));
             }
             FreeAlongside::Zeros | FreeAlongside::ZerosAndRadialScale => {
-                (0..joints).for_each(|joint| set(latency + 1 + joint, jacobian.joint(joint)));
+                derivatives.extend((0..joints).map(|joint| jacobian.joint(joint)));
             }
         }
         if with == FreeAlongside::ZerosAndRadialScale {
             let from_base = tip - stream_state.reference.translation.vector;
-            set(latency + 1 + joints, [from_base, Vec3::zeros()]);
+            derivatives.push([from_base, Vec3::zeros()]);
+        }
+        let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
+        for (column, derivative) in derivatives.iter().enumerate() {
+            rows.set_all(column, observations.excluded.mask(*derivative));
         }
     }
     // Its terms are products of a rotation and a displacement, or of two rotations.
