@@ -2,13 +2,12 @@
 
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::State;
+use crate::model::measurement::{State, twist_at, twist_lengths, twist_of};
 use crate::selection::link_deviations::{ErrorsBesideLinks, errors_beside_links};
 use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
-use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::geometry::Vec3;
 use ground::robot::Chain;
-use ground::stats::MeasuredLength;
 use nalgebra::Matrix6;
 
 /// Errors of zeros, radial scales and frames. The selected causes are free; a zero or radial scale that is not selected is
@@ -80,20 +79,17 @@ impl BesideLinks {
             return found;
         };
         // In the axes of the reference, the stream's translation is the opposite of the reported one.
-        let shift = found.pose.translation.vector;
-        let turn = rotvec_from_rotation(&found.pose.rotation);
-        let lever = if own == 0 { Vec3::zeros() } else { shift };
-        let mut by_twist = Matrix6::identity();
-        by_twist.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
-        let covariance = by_twist * of_twist * by_twist.transpose();
-        let widen = |measured: Measured, vector: Vec3, at: usize| {
-            let own = covariance.view((at, at), (3, 3)).into_owned();
-            let beside = MeasuredLength::estimate(vector.as_slice(), &own, measured.dof).norm;
-            Measured { std_error: measured.std_error.max(beside.std_error), ..measured }
+        let lever = if own == 0 { Vec3::zeros() } else { found.pose.translation.vector };
+        let covariance = twist_at(&lever) * of_twist * twist_at(&lever).transpose();
+        let dof = found.translation_m.dof;
+        let [m, rad] = twist_lengths(&twist_of(&found.pose), &covariance, dof);
+        let widen = |own: Measured, other: Measured| Measured {
+            std_error: own.std_error.max(other.std_error),
+            ..own
         };
         FrameEstimate {
-            translation_m: widen(found.translation_m, shift, 0),
-            rotation_rad: widen(found.rotation_rad, turn, 3),
+            translation_m: widen(found.translation_m, m),
+            rotation_rad: widen(found.rotation_rad, rad),
             ..found
         }
     }

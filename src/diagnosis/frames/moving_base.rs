@@ -13,7 +13,7 @@ use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::stats::Measured;
 use ground::stats::thin::thinned;
 use ground::stream::{JointTrack, Orientations};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Vector2};
 
 const MAX_SAMPLES: usize = 300;
 const MIN_SAMPLES: usize = 20;
@@ -134,23 +134,21 @@ fn difference_of_lags(
     const NOISE_FLOOR_M: f64 = 1e-6;
     const SHIFTS: [[f64; 2]; 5] =
         [[0.0, 0.0], [-STEP_S, 0.0], [STEP_S, 0.0], [0.0, -STEP_S], [0.0, STEP_S]];
-    let [at, lag_before, lag_after, before, after] =
-        SHIFTS.map(|[lag, latency]| tool_offsets(lag_s + lag, latency_s + latency));
-    let (mut residual, mut by_lag, mut by_latency) = (Vec::new(), Vec::new(), Vec::new());
-    for row in 0..at.len() {
-        let of_row = [&at, &lag_before, &lag_after, &before, &after].map(|offsets| offsets[row]);
-        let [Some(at), Some(lag_before), Some(lag_after), Some(before), Some(after)] = of_row
-        else {
-            continue;
-        };
-        residual.push(at);
-        by_lag.push((lag_after - lag_before) / (2.0 * STEP_S));
-        by_latency.push((after - before) / (2.0 * STEP_S));
-    }
-    if residual.len() < MIN_SAMPLES {
+    let shifted = SHIFTS.map(|[lag, latency]| tool_offsets(lag_s + lag, latency_s + latency));
+    let of_row =
+        |row: usize| shifted.iter().map(|offsets| offsets[row]).collect::<Option<Vec<Vec3>>>();
+    let rows: Vec<Vec<Vec3>> = (0..shifted[0].len()).filter_map(of_row).collect();
+    if rows.len() < MIN_SAMPLES {
         return None;
     }
-    [&mut residual, &mut by_lag, &mut by_latency].into_iter().for_each(|all| subtract_mean(all));
+    let about_mean = |of: &dyn Fn(&[Vec3]) -> Vec3| {
+        let mut all: Vec<Vec3> = rows.iter().map(|row| of(row)).collect();
+        subtract_mean(&mut all);
+        all
+    };
+    let residual = about_mean(&|row| row[0]);
+    let [by_lag, by_latency] = [(1, 2), (3, 4)]
+        .map(|(before, after)| about_mean(&|row| (row[after] - row[before]) / (2.0 * STEP_S)));
     let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.dot(b)).sum::<f64>();
     let across = dot(&by_lag, &by_latency);
     let information =
@@ -168,21 +166,14 @@ fn difference_of_lags(
 
 /// Pattern search (Hooke and Jeeves 1961): steps along axes and diagonals, halved when none improves.
 fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
-    const SEARCH_DIRECTIONS: [[f64; 2]; 8] = [
-        [1.0, 0.0],
-        [-1.0, 0.0],
-        [0.0, 1.0],
-        [0.0, -1.0],
-        [1.0, 1.0],
-        [-1.0, -1.0],
-        [1.0, -1.0],
-        [-1.0, 1.0],
-    ];
+    let directions = || {
+        let signs = [1.0, 0.0, -1.0];
+        let all = signs.into_iter().flat_map(move |x| signs.map(|y| [x, y]));
+        all.filter(|direction| *direction != [0.0; 2])
+    };
     let (mut at, mut min_cost, mut step) = (start, cost(start), INITIAL_STEP_S);
     while step > FINAL_STEP_S {
-        let trials = SEARCH_DIRECTIONS
-            .iter()
-            .map(|direction| [at[0] + step * direction[0], at[1] + step * direction[1]]);
+        let trials = directions().map(|[x, y]| [at[0] + step * x, at[1] + step * y]);
         let best = trials.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
         match best {
             Some((less, to)) if less < min_cost => (at, min_cost) = (to, less),
@@ -295,14 +286,11 @@ impl PlanarTravel {
 
     fn fit(poses: &[Pose]) -> Self {
         let n = poses.len().max(1) as f64;
-        let mut mean = nalgebra::Matrix3::zeros();
-        for pose in poses {
-            mean += pose.rotation.to_rotation_matrix().into_inner() / n;
-        }
+        let rotations = poses.iter().map(|pose| pose.rotation.to_rotation_matrix().into_inner());
+        let mean = rotations.sum::<Matrix3<f64>>() / n;
         let mut away: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector).collect();
         subtract_mean(&mut away);
-        let scatter =
-            away.iter().map(|away| away * away.transpose()).sum::<nalgebra::Matrix3<f64>>() / n;
+        let scatter = away.iter().map(|away| away * away.transpose()).sum::<Matrix3<f64>>() / n;
         let squares = scatter.symmetric_eigenvalues();
         let svd = mean.svd(true, true);
         let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {

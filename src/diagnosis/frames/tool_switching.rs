@@ -12,9 +12,11 @@ use crate::latency::correlation::median_period_s;
 use crate::model::measurement::{pose_of_twist, twist_of};
 use crate::samples::sampling::FkSequence;
 use crate::{LengthUnitError, PoseDiagnosis, PoseSeries, PoseStream};
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::Pose;
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
+use nalgebra::Vector6;
+use std::ops::Range;
 
 const MIN_SAMPLES: usize = 60;
 /// Shorter segments are outliers.
@@ -92,22 +94,20 @@ pub fn detect_tool_switching(
     }
     let bodies = BodyAssignment::from_jumps(&jumps, poses.len(), limits)?;
     let usual = bodies.most_frequent();
-    let mut corrected = poses;
-    let mut others: Vec<(usize, SwitchedTool)> = Vec::new();
-    for (from, to, body) in bodies.segments.iter().copied().filter(|(.., body)| *body != usual) {
-        if !others.iter().any(|(own, _)| *own == body) {
-            others.push((body, bodies.switched_tool(body, usual)));
+    let (samples, mut corrected) = (poses.len(), poses);
+    let mut others = Vec::new();
+    for body in (0..bodies.poses.len()).filter(|body| *body != usual) {
+        let mut other = bodies.switched_tool(body, usual);
+        if other.is_inconsistent() {
+            return None;
         }
-        let (_, other) = others.iter_mut().find(|(own, _)| *own == body)?;
-        other.spans_s.push([track.t_s[from], track.t_s[to - 1]]);
-        other.samples += to - from;
         let other_from_usual = other.pose.inverse();
-        corrected[from..to].iter_mut().for_each(|pose| *pose *= other_from_usual);
-    }
-    let samples = corrected.len();
-    let others: Vec<SwitchedTool> = others.into_iter().map(|(_, other)| other).collect();
-    if others.iter().any(SwitchedTool::is_inconsistent) {
-        return None;
+        for (rows, _) in bodies.segments.iter().filter(|(_, of)| *of == body) {
+            other.spans_s.push([track.t_s[rows.start], track.t_s[rows.end - 1]]);
+            other.samples += rows.len();
+            corrected[rows.clone()].iter_mut().for_each(|pose| *pose *= other_from_usual);
+        }
+        others.push(other);
     }
     Some((ToolSwitching { others, samples }, corrected))
 }
@@ -233,9 +233,9 @@ fn is_backlash(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> boo
 }
 
 struct BodyAssignment {
-    /// First sample, end (exclusive), body.
-    segments: Vec<(usize, usize, usize)>,
-    /// `first_from_body`, and the largest interval ratio of its jumps.
+    /// Samples and body, in order of time.
+    segments: Vec<(Range<usize>, usize)>,
+    /// `first_from_body`, and the largest interval ratio of its jumps. In the order of their first segments.
     poses: Vec<(Pose, f64)>,
     /// With the bodies before and after.
     jumps: Vec<(usize, usize, PoseStep)>,
@@ -253,7 +253,7 @@ impl BodyAssignment {
             if jump.row < from + MIN_SEGMENT_SAMPLES {
                 return None;
             }
-            bodies.segments.push((from, jump.row, body));
+            bodies.segments.push((from..jump.row, body));
             let (here, times) = bodies.poses[body];
             let (there, times) = (here * jump.displacement, times.max(jump.times));
             let distance = |(own, own_times): &(Pose, f64)| {
@@ -275,7 +275,7 @@ impl BodyAssignment {
             bodies.jumps.push((body, next, *jump));
             (from, body) = (jump.row, next);
         }
-        bodies.segments.push((from, samples, body));
+        bodies.segments.push((from..samples, body));
         // Without recurrence nothing switches. Many bodies indicate another problem.
         let recurs = bodies.segments.len() > bodies.poses.len();
         let is_short = samples - from < MIN_SEGMENT_SAMPLES;
@@ -286,8 +286,8 @@ impl BodyAssignment {
     fn most_frequent(&self) -> usize {
         const MIN_FIRST_BODY_SHARE: f64 = 0.8;
         let samples = |body: usize| {
-            let own = self.segments.iter().filter(|(.., of)| *of == body);
-            own.map(|(from, to, _)| to - from).sum::<usize>()
+            let own = self.segments.iter().filter(|(_, of)| *of == body);
+            own.map(|(rows, _)| rows.len()).sum::<usize>()
         };
         let most = (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0);
         let is_first = samples(0) as f64 >= MIN_FIRST_BODY_SHARE * samples(most) as f64;
@@ -304,24 +304,22 @@ impl BodyAssignment {
                     _ if (from, to) == (body, usual) => by.inverse(),
                     _ => return None,
                 };
-                Some((twist_of(&(first.inverse() * by)), times.powi(-2)))
+                Some((Vector6::from(twist_of(&(first.inverse() * by))), times.powi(-2)))
             },
         );
-        let mut about: Vec<([f64; 6], f64)> = between.collect();
+        let mut about: Vec<(Vector6<f64>, f64)> = between.collect();
         if about.is_empty() {
             // No direct jump.
-            about.push(([0.0; 6], 1.0));
+            about.push((Vector6::zeros(), 1.0));
         }
         let n = about.len() as f64;
         let total: f64 = about.iter().map(|(_, weight)| weight).sum();
-        let mean: [f64; 6] = std::array::from_fn(|at| {
-            about.iter().map(|(one, weight)| weight * one[at]).sum::<f64>() / total
-        });
-        let pose = first * pose_of_twist(&mean);
+        let mean = about.iter().map(|(one, weight)| one * *weight).sum::<Vector6<f64>>() / total;
+        let pose = first * pose_of_twist(mean.as_slice());
         let error = |first: usize| {
-            let squares = about.iter().flat_map(|(one, weight)| {
-                (first..first + 3).map(move |at| weight * (one[at] - mean[at]).powi(2))
-            });
+            let squares = about
+                .iter()
+                .map(|(one, weight)| weight * (one - mean).fixed_rows::<3>(first).norm_squared());
             match about.len() {
                 1 => f64::INFINITY,
                 _ => (squares.sum::<f64>() / 3.0 / (n - 1.0) / total).sqrt(),
@@ -332,9 +330,8 @@ impl BodyAssignment {
             std_error: error(first),
             dof: (3.0 * (n - 1.0)).max(1.0),
         };
-        let length: Vec3 = pose.translation.vector;
         SwitchedTool {
-            length_m: measured(length.norm(), 0),
+            length_m: measured(pose.translation.vector.norm(), 0),
             angle_rad: measured(pose.rotation.angle(), 3),
             pose,
             spans_s: Vec::new(),

@@ -4,13 +4,13 @@
 //! selected, the chosen frames are estimated again, together with link deviations within their prior. Frames that are not
 //! chosen only deviate like links.
 
-use crate::model::measurement::{pose_of_twist, twist_of};
+use crate::model::measurement::{pose_of_twist, twist_at, twist_lengths, twist_of};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
 use crate::residuals::cause_columns::{CauseColumns, Frame};
 use crate::{FrameEstimate, PoseDiagnosis};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
-use ground::stats::{MeasuredLength, joint_p_value};
+use ground::stats::joint_p_value;
 use nalgebra::{DMatrix, DVector};
 
 /// Estimates the reference and the tool of `found` together with link deviations. `None` unless the frame is `free`.
@@ -39,25 +39,19 @@ pub(crate) fn frames_with_links(
                 Frame::Tool => (&found.tool, Pose::identity()),
             };
             let before = before.as_ref().ok().filter(|_| is_free)?;
-            let twist: [f64; 6] = std::array::from_fn(|i| step[frame.columns().start + i]);
-            let moved = about * pose_of_twist(&twist) * about.inverse();
+            let moved = about * pose_of_twist(&step.as_slice()[frame.columns()]) * about.inverse();
             // The reported reference is the inverse of what maps base coordinates to the stream's.
             let pose = match frame {
                 Frame::Reference => moved.inverse() * before.pose,
                 Frame::Tool => moved * before.pose,
             };
             let lever: Vec3 = pose.translation.vector - about.translation.vector;
-            let mut by_twist = DMatrix::identity(6, 6);
-            by_twist.view_mut((0, 3), (3, 3)).copy_from(&-lever.cross_matrix());
             let first = frame.columns().start;
-            let own = covariance.view((first, first), (6, 6));
-            let own = &by_twist * own * by_twist.transpose();
+            let own = covariance.fixed_view::<6, 6>(first, first);
+            let own = twist_at(&lever) * own * twist_at(&lever).transpose();
             let twist = twist_of(&pose);
-            let length = |at: usize| {
-                let own = own.view((at, at), (3, 3)).into_owned();
-                MeasuredLength::estimate(&twist[at..at + 3], &own, dof).norm
-            };
-            let (translation_m, rotation_rad) = (length(0), length(3));
+            let [translation_m, rotation_rad] = twist_lengths(&twist, &own, dof);
+            let own = DMatrix::from_column_slice(6, 6, own.as_slice());
             let p_value = joint_p_value(&DVector::from_column_slice(&twist), &own, dof);
             Some(FrameEstimate { pose, translation_m, rotation_rad, p_value, ..before.clone() })
         };

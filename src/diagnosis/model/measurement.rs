@@ -10,8 +10,9 @@ use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stats::thin::thinned;
+use ground::stats::{Measured, MeasuredLength};
 use ground::stream::{JointSequence, JointTrack};
-use nalgebra::{DVector, Translation3};
+use nalgebra::{DVector, Matrix6, Translation3};
 
 /// Columns of a stream's parameters.
 pub(crate) const LATENCY_COLUMN: usize = 0;
@@ -158,6 +159,25 @@ impl StreamState {
 /// Translation and rotation vector.
 pub(crate) fn twist_of(pose: &Pose) -> [f64; 6] {
     stacked([pose.translation.vector, rotvec_from_rotation(&pose.rotation)])
+}
+
+/// Moves a twist to a point at `lever`.
+pub(crate) fn twist_at(lever: &Vec3) -> Matrix6<f64> {
+    let mut moved = Matrix6::identity();
+    moved.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
+    moved
+}
+
+/// Lengths of a twist's translation and rotation, with `dof` degrees of freedom.
+pub(crate) fn twist_lengths(
+    twist: &[f64; 6],
+    covariance: &Matrix6<f64>,
+    dof: f64,
+) -> [Measured; 2] {
+    [0, 3].map(|first| {
+        let own = covariance.view((first, first), (3, 3)).into_owned();
+        MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
+    })
 }
 
 pub(crate) fn stacked([linear, angular]: [Vec3; 2]) -> [f64; 6] {
