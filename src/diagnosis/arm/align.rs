@@ -30,8 +30,8 @@ pub(super) fn align(
     let zero = vec![0.0; recorded.dof];
     let StreamState { latency_s, skew, .. } = *stream_state;
     let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
-    let mut truths = observations.predictor(&truth_state, &model.state.offsets);
-    let mut recorded_fk = as_recorded.predictor(&recorded_state, &zero);
+    let mut truths = observations.at(&truth_state, &model.state.offsets).predictor();
+    let mut recorded_fk = as_recorded.at(&recorded_state, &zero).predictor();
     let mut aligned = AlignedSamples::default();
     let rotations = as_rotations(&stream.track.orientation);
     let mut source = 0;
@@ -79,6 +79,6 @@ pub(super) fn fk_at_latency(
     let t_s = aligned.t_s.iter().map(|t_s| t_s - late_s(*t_s)).collect();
     let observations =
         PoseObservations { t_s, xyz: Vec::new(), rotation: Vec::new(), ..decoded.observations };
-    let mut predictor = observations.predictor(&state, &model.state.offsets);
+    let mut predictor = observations.at(&state, &model.state.offsets).predictor();
     (0..aligned.t_s.len()).map(|row| predictor.pose_at(row)).collect()
 }

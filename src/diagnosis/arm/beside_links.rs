@@ -39,12 +39,9 @@ impl BesideLinks {
                 continue;
             }
             let scale = with(&|cause| *cause == Cause::RadialScale(index));
-            let [of_selected, of_zeros, of_scale] = errors_beside_links(
-                (&decoded.observations, index),
-                state,
-                &offsets,
-                [selected, &zeros, &scale],
-            );
+            let at = decoded.observations.at(state, &offsets);
+            let [of_selected, of_zeros, of_scale] =
+                errors_beside_links(at, index, [selected, &zeros, &scale]);
             let ErrorsBesideLinks { std_errors, frames: [reference, last_link] } = of_selected;
             if !is_nominal {
                 let tool = last_link.map(|of_link| of_tool(decoded.observations.chain, &of_link));

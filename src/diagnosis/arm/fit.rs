@@ -53,8 +53,8 @@ pub(super) fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -
     let all = fitted.candidates.all();
     let timing = |s: usize| {
         let has_skew = all.contains(&Cause::Skew(s));
-        let found =
-            || timing_beside_link_deviations(observations[s], &streams[s], &offsets, has_skew);
+        let at = observations[s].at(&streams[s], &offsets);
+        let found = || timing_beside_link_deviations(at, has_skew);
         all.contains(&Cause::Latency(s)).then(found).flatten()
     };
     let timings: Vec<Option<Timing>> = (0..streams.len()).map(timing).collect();
@@ -113,7 +113,7 @@ pub(super) fn fit(
     let (mut model, mut candidates) = fit_with(false);
     let follows_in_other_frames = |s: usize| {
         let State { offsets, streams } = &model.state;
-        is_calibratable(constant_frame_residual(observations[s], &streams[s], offsets))
+        is_calibratable(constant_frame_residual(observations[s].at(&streams[s], offsets)))
     };
     let is_open = with_offsets && !explains_all(&model);
     if is_open && (0..observations.len()).any(follows_in_other_frames) {
@@ -150,8 +150,10 @@ pub(super) fn fit(
     };
     let dropped = model.causes.iter().filter(|cause| !is_retained(cause));
     let dropped: usize = dropped.map(|cause| cause.parameters(&model.state).len()).sum();
-    let is_of_calibrated =
-        |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
+    let is_of_calibrated = |s: usize| {
+        let selected = observations[s].at(&model.state.streams[s], &model.state.offsets);
+        is_nominal(observations[s].at(&plain[s], &offsets), selected, dropped)
+    };
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None, timings: Vec::new() };
         return Some(match with_offsets && has_links {
@@ -256,7 +258,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     };
     let State { offsets, streams } = without_causes(&imitable);
     let significant =
-        causes_beyond_link_deviations((observations[s], s), &streams[s], &offsets, &imitable);
+        causes_beyond_link_deviations(observations[s].at(&streams[s], &offsets), s, &imitable);
     let (_, imitated): (Vec<Cause>, Vec<Cause>) =
         imitable.into_iter().partition(|cause| significant.contains(cause));
     if imitated.is_empty() {
@@ -358,7 +360,7 @@ fn with_significant_causes(
     let offsets: Vec<f64> = found
         .map(|(found, large)| if found.abs() < ZERO_PRIOR { *large } else { *found })
         .collect();
-    for cause in causes_beyond_link_deviations((observations, s), &plain, &offsets, &causes) {
+    for cause in causes_beyond_link_deviations(observations.at(&plain, &offsets), s, &causes) {
         let state = &model.state.streams[s];
         match cause {
             Cause::Reference(_) => plain.reference = state.reference,

@@ -164,7 +164,7 @@ impl StreamFit<'_> {
         }
         let information = model.linear.information_of(index);
         let observability =
-            Observability::new(&decoded.observations, stream_state, zeros, &information);
+            Observability::new(decoded.observations.at(stream_state, zeros), &information);
         let found = PoseDiagnosis {
             encoding,
             length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
@@ -307,7 +307,7 @@ impl StreamFit<'_> {
         };
         let (state, zeros) = (without_small_causes(model, index), &model.state.offsets);
         let beside_links =
-            is_unsteady_beside_links(&decoded.observations, &state, zeros, &profile, removed);
+            is_unsteady_beside_links(decoded.observations.at(&state, zeros), &profile, removed);
         let is_unsteady = beside_links.unwrap_or(profile.is_unsteady);
         let unconfirmed = (!is_unsteady).then(|| profile.clone());
         match profile.is_unsteady && !is_unsteady {
@@ -355,9 +355,9 @@ fn aliases(decoded: &DecodedStream, model: &SelectedModel, index: usize) -> Opti
         let mut state = StreamState { latency_s, ..stream_state.clone() };
         if !observations.reference_known {
             // Another lag may need another world frame, e.g. by one line of a raster.
-            state = with_frames_from_positions(observations, state, offsets);
+            state = with_frames_from_positions(observations.at(&state, offsets));
         }
-        observations.residual_at_latency(&state, offsets, MAX_SEARCH_SAMPLES)
+        observations.at(&state, offsets).residual_at_latency(MAX_SEARCH_SAMPLES)
     };
     let (best, _) = at(stream_state.latency_s);
     let min_separation_s = 4.0 * median_period_s(&observations.t_s).max(0.02);

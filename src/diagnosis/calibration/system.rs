@@ -141,7 +141,7 @@ impl CalibrationSystem<'_> {
             }
             let rows = (0..observations.len()).step_by(source.stride);
             let linear =
-                link_frames(&observations, &stream_state, &offsets, rows, FreeAlongside::Zeros);
+                link_frames(observations.at(&stream_state, &offsets), rows, FreeAlongside::Zeros);
             if linear.len() < FOLDS {
                 return None;
             }

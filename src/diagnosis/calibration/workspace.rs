@@ -78,7 +78,7 @@ pub(crate) fn tip_derivatives(chain: &Chain, motion: &JointTrack) -> Linear {
     let poses = vec![Pose::identity(); motion.len()];
     let observations = PoseObservations::new(motion, chain, &columns, &still, &motion.t_s, &poses);
     let state = StreamState::at_latency(0.0);
-    link_frames(&observations, &state, &still, 0..motion.len(), FreeAlongside::Zeros)
+    link_frames(observations.at(&state, &still), 0..motion.len(), FreeAlongside::Zeros)
 }
 
 /// Configurations at rest, over the joint ranges.

@@ -301,7 +301,7 @@ fn choose_branches(
 ) {
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
-    let mut predictor = observations.predictor(&state, offsets);
+    let mut predictor = observations.at(&state, offsets).predictor();
     let after = interpretation.corrections();
     let decode = |k: usize| {
         let fk = predictor.pose_at(k)?;

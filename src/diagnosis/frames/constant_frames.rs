@@ -2,7 +2,7 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
-use crate::model::measurement::{PoseObservations, StreamState, pose_of_twist, twist_of};
+use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, twist_of};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
@@ -31,7 +31,7 @@ pub(crate) fn starting_states(
 ) -> Vec<StreamState> {
     let tool_part = observations.tool_part;
     let without_frames = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
-    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
+    let (fk, logged) = pose_pairs(observations.at(&without_frames, offsets));
     if fk.len() < 3 {
         return vec![without_frames];
     }
@@ -77,14 +77,10 @@ pub(crate) fn starting_states(
 }
 
 /// FK and logged poses of a subset of samples. FK has no frames.
-fn pose_pairs(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-) -> (Vec<Pose>, Vec<Pose>) {
+fn pose_pairs(StreamAt { observations, state, offsets }: StreamAt) -> (Vec<Pose>, Vec<Pose>) {
     let identity = Pose::identity();
     let state = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let mut predictor = observations.predictor(&state, offsets);
+    let mut predictor = observations.at(&state, offsets).predictor();
     let pair = |k: usize| {
         Some((predictor.pose_at(k)?, pose(observations.xyz[k].into(), observations.rotation[k])))
     };
@@ -99,18 +95,14 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean_vector(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
-/// Sets both frames of `state` to those determined by positions at its latency.
-pub(crate) fn with_frames_from_positions(
-    observations: &PoseObservations,
-    state: StreamState,
-    offsets: &[f64],
-) -> StreamState {
-    let (fk, logged) = pose_pairs(observations, &state, offsets);
+/// The state with both frames determined by positions at its latency.
+pub(crate) fn with_frames_from_positions(stream: StreamAt) -> StreamState {
+    let (fk, logged) = pose_pairs(stream);
     if fk.len() < 3 {
-        return state;
+        return stream.state.clone();
     }
     let (reference, tool) = frames_from_positions(&fk, &logged);
-    StreamState { reference, tool, ..state }
+    StreamState { reference, tool, ..stream.state.clone() }
 }
 
 fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
@@ -130,12 +122,8 @@ pub(crate) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
 }
 
 /// Same for a stream without a reference error. `None` if there are too few samples.
-pub(crate) fn tool_start(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-) -> Option<Pose> {
-    let (fk, logged) = pose_pairs(observations, state, offsets);
+pub(crate) fn tool_start(stream: StreamAt) -> Option<Pose> {
+    let (fk, logged) = pose_pairs(stream);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
@@ -195,12 +183,8 @@ pub(crate) fn misfit_in_frames(
 }
 
 /// Same for a stream at its latency with joint offsets.
-pub(crate) fn constant_frame_residual(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-) -> [f64; 2] {
-    let (fk, logged) = pose_pairs(observations, state, offsets);
+pub(crate) fn constant_frame_residual(stream: StreamAt) -> [f64; 2] {
+    let (fk, logged) = pose_pairs(stream);
     misfit_of_frames(&fk, &logged)
 }
 

@@ -241,11 +241,18 @@ impl State {
     }
 }
 
+/// Observations of a stream with the state in which they are predicted.
+#[derive(Clone, Copy)]
+pub(crate) struct StreamAt<'a> {
+    pub observations: &'a PoseObservations<'a>,
+    pub state: &'a StreamState,
+    /// Those of [`State`].
+    pub offsets: &'a [f64],
+}
+
 /// Predicts samples of a stream in one state; fastest in their order.
 pub(crate) struct Predictor<'a> {
-    observations: &'a PoseObservations<'a>,
-    stream: &'a StreamState,
-    offsets: &'a [f64],
+    stream: StreamAt<'a>,
     joints: JointSequence<'a>,
     q: Vec<f64>,
     /// Per joint, then 1 for a moving base.
@@ -271,9 +278,10 @@ pub(crate) struct Prediction<'a> {
 impl<'a> Predictor<'a> {
     /// `None` if joint states or transforms do not cover sample `k`.
     pub fn at(&mut self, k: usize) -> Option<Prediction<'_>> {
-        let Self { observations, stream, offsets, joints, q, qd, jacobian } = self;
+        let Self { stream: StreamAt { observations, state, offsets }, joints, q, qd, jacobian } =
+            self;
         let stamp = observations.t_s[k];
-        let truth = stamp - stream.latency_s - stream.skew * (stamp - observations.middle_s);
+        let truth = stamp - state.latency_s - state.skew * (stamp - observations.middle_s);
         let (track_q, track_qd) = joints.at(truth)?;
         let mut is_moving = false;
         for (i, &column) in observations.columns.iter().enumerate() {
@@ -299,11 +307,11 @@ impl<'a> Predictor<'a> {
             }
             base_from_link = base * base_from_link;
         }
-        let mut in_base = base_from_link * stream.tool;
-        in_base.translation.vector *= 1.0 + stream.radial_scale;
+        let mut in_base = base_from_link * state.tool;
+        in_base.translation.vector *= 1.0 + state.radial_scale;
         let mut jacobian =
-            PoseJacobian::new(jacobian, &stream.reference, &base_from_link, &stream.tool);
-        jacobian.pose = stream.reference * in_base;
+            PoseJacobian::new(jacobian, &state.reference, &base_from_link, &state.tool);
+        jacobian.pose = state.reference * in_base;
         let in_base = in_base.translation.vector;
         Some(Prediction { jacobian, q, qd, track_q, in_base, is_moving })
     }
@@ -375,46 +383,55 @@ impl PoseObservations<'_> {
         })
     }
 
-    /// `offsets` are those of [`State`].
-    pub fn predictor<'a>(&'a self, stream: &'a StreamState, offsets: &'a [f64]) -> Predictor<'a> {
-        let dof = self.columns.len();
-        let width = dof + usize::from(self.moving_frame.is_some());
+    /// The same in a state.
+    pub fn at<'a>(&'a self, state: &'a StreamState, offsets: &'a [f64]) -> StreamAt<'a> {
+        StreamAt { observations: self, state, offsets }
+    }
+
+    /// Number of samples, out of about `most`, while a joint moves.
+    pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
+        let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
+        let mut predictor = self.at(&state, &offsets).predictor();
+        self.rows(most).filter(|k| predictor.at(*k).is_some_and(|it| it.is_moving)).count()
+    }
+
+    /// Logged minus predicted: m, rotation vector in rad.
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
+        let position = self.xyz[k] - predicted.translation.vector;
+        let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
+        self.excluded.mask([position, rotation])
+    }
+}
+
+impl<'a> StreamAt<'a> {
+    pub fn predictor(self) -> Predictor<'a> {
+        let PoseObservations { joints, columns, moving_frame, .. } = self.observations;
+        let dof = columns.len();
+        let width = dof + usize::from(moving_frame.is_some());
         Predictor {
-            observations: self,
-            stream,
-            offsets,
-            joints: self.joints.sequence(),
+            stream: self,
+            joints: joints.sequence(),
             q: vec![0.0; dof],
             qd: vec![1.0; width],
             jacobian: vec![[0.0; 6]; width],
         }
     }
 
-    /// Number of samples, out of about `most`, while a joint moves.
-    pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
-        let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
-        let mut predictor = self.predictor(&state, &offsets);
-        self.rows(most).filter(|k| predictor.at(*k).is_some_and(|it| it.is_moving)).count()
-    }
-
     /// Rms residual over about `most` samples (m and rad combined), and the latency change that reduces it
     /// most, s.
-    pub fn residual_at_latency(
-        &self,
-        stream: &StreamState,
-        offsets: &[f64],
-        most: usize,
-    ) -> (f64, f64) {
-        let mut predictor = self.predictor(stream, offsets);
+    pub fn residual_at_latency(self, most: usize) -> (f64, f64) {
+        let observations = self.observations;
+        let mut predictor = self.predictor();
         let (mut samples, mut square) = (0, 0.0);
         let (mut along, mut steep) = (0.0, f64::MIN_POSITIVE);
-        for k in self.rows(most) {
+        for k in observations.rows(most) {
             let Some(Prediction { jacobian, qd, is_moving, .. }) = predictor.at(k) else {
                 continue;
             };
             let velocity = if is_moving { jacobian.velocity(qd) } else { [Vec3::zeros(); 2] };
-            let by_latency = self.excluded.mask(velocity.map(|part| -part));
-            for (slope, residual) in by_latency.iter().zip(self.residual(k, &jacobian.pose)) {
+            let by_latency = observations.excluded.mask(velocity.map(|part| -part));
+            let residuals = observations.residual(k, &jacobian.pose);
+            for (slope, residual) in by_latency.iter().zip(residuals) {
                 square += residual.norm_squared();
                 along += slope.dot(&residual);
                 steep += slope.norm_squared();
@@ -424,19 +441,13 @@ impl PoseObservations<'_> {
         ((square / f64::from(samples.max(1))).sqrt(), along / steep)
     }
 
-    /// Logged minus predicted: m, rotation vector in rad.
-    pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
-        let position = self.xyz[k] - predicted.translation.vector;
-        let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
-        self.excluded.mask([position, rotation])
-    }
-
     /// Linearises up to `most` samples that joint states cover.
-    pub fn linearize(&self, stream: &StreamState, offsets: &[f64], most: usize) -> Linear {
+    pub fn linearize(self, most: usize) -> Linear {
+        let Self { observations, offsets, .. } = self;
         let joints = offsets.len();
-        let mut predictor = self.predictor(stream, offsets);
+        let mut predictor = self.predictor();
         let mut linear = Linear::new(joints + STREAM_WIDTH, &[FLOOR_M, FLOOR_RAD]);
-        let rows = self.rows(most);
+        let rows = observations.rows(most);
         linear.reserve(rows.len());
         for k in rows {
             let Some(Prediction { jacobian, q, qd, track_q, in_base, is_moving, .. }) =
@@ -445,22 +456,25 @@ impl PoseObservations<'_> {
                 continue;
             };
             linear.places.push(q);
-            let mut rows = linear.push(&self.residual(k, &jacobian.pose));
+            let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
             let mut set = |column: usize, derivative: Derivative| {
-                rows.set_all(column, self.excluded.mask(derivative));
+                rows.set_all(column, observations.excluded.mask(derivative));
             };
             let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
-            for (i, &column) in self.columns.iter().enumerate() {
+            for (i, &column) in observations.columns.iter().enumerate() {
                 let derivative = jacobian.joint(i);
                 set(column, derivative);
-                for (gain, by) in self.gains_of(column).filter(|(gain, _)| *gain < joints) {
+                for (gain, by) in observations.gains_of(column).filter(|(gain, _)| *gain < joints) {
                     set(gain, scaled(derivative, track_q[by]));
                 }
             }
             if is_moving {
                 let by_latency = scaled(jacobian.velocity(qd), -1.0);
                 set(joints + LATENCY_COLUMN, by_latency);
-                set(joints + SKEW_COLUMN, scaled(by_latency, self.t_s[k] - self.middle_s));
+                set(
+                    joints + SKEW_COLUMN,
+                    scaled(by_latency, observations.t_s[k] - observations.middle_s),
+                );
             }
             set(joints + RADIAL_SCALE_COLUMN, [jacobian.reference * in_base, Vec3::zeros()]);
             for axis in 0..6 {

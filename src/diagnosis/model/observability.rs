@@ -7,7 +7,7 @@
 
 use super::measurement::{
     LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
-    STREAM_WIDTH, StreamState, TOOL_COLUMNS_START,
+    STREAM_WIDTH, StreamAt, StreamState, TOOL_COLUMNS_START,
 };
 use crate::samples::sampling::value_range;
 use ground::geometry::{Rotation, Vec3};
@@ -88,13 +88,9 @@ pub struct WeakDirection {
 }
 
 impl Observability {
-    /// From `information` at `state`, over the track's joints, then the stream's parameters.
-    pub(crate) fn new(
-        observations: &PoseObservations,
-        state: &StreamState,
-        offsets: &[f64],
-        information: &DMatrix<f64>,
-    ) -> Self {
+    /// From `information` over the track's joints, then the stream's parameters.
+    pub(crate) fn new(stream: StreamAt, information: &DMatrix<f64>) -> Self {
+        let StreamAt { observations, offsets, .. } = stream;
         let dof = observations.joints.dof;
         let has_zero = |joint: &usize| {
             !observations.chain.is_floating() && observations.columns.contains(joint)
@@ -112,7 +108,7 @@ impl Observability {
         Self {
             parameters: kept.iter().map(parameter).collect(),
             information: part(information),
-            possible: part(&achievable_information(observations, state, offsets)),
+            possible: part(&achievable_information(stream)),
             travel: (0..dof).map(|joint| travel(observations.joints, joint)).collect(),
         }
     }
@@ -202,11 +198,7 @@ pub(crate) fn travel(joints: &JointTrack, joint: usize) -> f64 {
 }
 
 /// Random configurations over the joints' ranges, at speeds of both signs.
-fn achievable_information(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-) -> DMatrix<f64> {
+fn achievable_information(StreamAt { observations, state, offsets }: StreamAt) -> DMatrix<f64> {
     let dof = observations.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
     let kinds = observations.chain.joint_kinds();
@@ -236,6 +228,6 @@ fn achievable_information(
     };
     // Without latency, stamps match the configurations.
     let at_postures = StreamState { latency_s: 0.0, skew: 0.0, ..state.clone() };
-    let linear = ideal.linearize(&at_postures, offsets, CONFIGURATIONS);
+    let linear = ideal.at(&at_postures, offsets).linearize(CONFIGURATIONS);
     linear.information(&linear.even_weights())
 }

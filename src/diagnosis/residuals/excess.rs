@@ -106,7 +106,11 @@ fn fold_correlation(
     let folds: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(FOLDS).max(1))
         .map(|rows| {
-            link_frames(observations, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
+            link_frames(
+                observations.at(stream, offsets),
+                rows.iter().copied(),
+                FreeAlongside::Nothing,
+            )
         })
         .collect();
     let normals: Vec<Normal> =

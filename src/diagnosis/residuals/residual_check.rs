@@ -182,13 +182,14 @@ fn residual_with_calibration(
         ..StreamState::at_latency(diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
     let none = vec![0.0; corrected_joints.dof];
-    let mut predictor = observations.predictor(&plain, &none);
+    let stream_at = observations.at(&plain, &none);
+    let mut predictor = stream_at.predictor();
     let rows: Vec<usize> = observations
         .rows(MAX_CALIBRATION_SAMPLES)
         .filter(|&row| predictor.at(row).is_some())
         .collect();
     let most = MAX_CALIBRATION_SAMPLES;
-    let kinds = calibrated_residuals(&observations, &plain, diagnosis.link_m, most);
+    let kinds = calibrated_residuals(stream_at, diagnosis.link_m, most);
     let [length, angle] = kinds.try_into().ok()?;
     if length.len() != rows.len() {
         return None;

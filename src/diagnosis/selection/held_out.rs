@@ -137,7 +137,7 @@ impl<'a> HeldOut<'a> {
     fn squares_at(&self, state: &State) -> Vec<Squares> {
         let streams = self.observations.iter().zip(&state.streams);
         let of_stream = |(observations, stream): (&&PoseObservations, &StreamState)| {
-            let linear = observations.linearize(stream, &state.offsets, 2 * MAX_SAMPLES);
+            let linear = observations.at(stream, &state.offsets).linearize(2 * MAX_SAMPLES);
             [0, 1].map(|kind| mean_square(&linear.residual[kind]))
         };
         streams.map(of_stream).collect()

@@ -17,7 +17,7 @@
 
 use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
-use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::model::measurement::{PoseObservations, State, StreamAt, StreamState};
 use crate::priors::{
     ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, LINK_PRIOR_M,
     MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, MODEL_ERROR_M, RAD_PER_M,
@@ -91,7 +91,7 @@ pub(crate) fn estimate_link_deviations(
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = DeviationModel::linearize(observations, state, &offsets)?;
+        let model = DeviationModel::linearize(observations.at(state, &offsets))?;
         let fit = model.select_zeros(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
@@ -118,12 +118,12 @@ pub(crate) struct ErrorsBesideLinks {
 
 /// For each of `sets` of causes.
 pub(crate) fn errors_beside_links<const N: usize>(
-    (observations, stream): (&PoseObservations, usize),
-    state: &StreamState,
-    offsets: &[f64],
+    at: StreamAt,
+    stream: usize,
     sets: [&[Cause]; N],
 ) -> [ErrorsBesideLinks; N] {
-    let Some(model) = DeviationModel::linearize(observations, state, offsets) else {
+    let observations = at.observations;
+    let Some(model) = DeviationModel::linearize(at) else {
         return sets.map(|_| ErrorsBesideLinks::default());
     };
     sets.map(|causes| {
@@ -132,7 +132,7 @@ pub(crate) fn errors_beside_links<const N: usize>(
         let joints = observations.columns.len();
         // All links between have five columns.
         let frames = [(0, 0), (joints, 6 + 5 * joints.saturating_sub(1))].map(|(link, first)| {
-            is_free_parameter(6 * link, observations, state)
+            is_free_parameter(6 * link, at)
                 .then(|| fits.iter().map(|it| model.frame_covariance(it, first)).sum())
         });
         let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
@@ -201,17 +201,17 @@ impl AdditionalCauses {
 /// All links deviate alike, because one that deviates much more is a wrong frame, if it is the first or the last. A radial
 /// scale must also exceed the deviation of any one link.
 ///
-/// The stream is linearised about `state` and `offsets`, which exclude the causes.
+/// The state of the stream excludes the causes.
 pub(crate) fn causes_beyond_link_deviations(
-    (observations, stream): (&PoseObservations, usize),
-    state: &StreamState,
-    offsets: &[f64],
+    at: StreamAt,
+    stream: usize,
     causes: &[Cause],
 ) -> Vec<Cause> {
-    let Some(model) = DeviationModel::linearize(observations, state, offsets) else {
+    let Some(model) = DeviationModel::linearize(at) else {
         return causes.to_vec();
     };
-    let additional = |causes: &[Cause]| AdditionalCauses::for_stream(causes, observations, stream);
+    let additional =
+        |causes: &[Cause]| AdditionalCauses::for_stream(causes, at.observations, stream);
     let evidence = |causes: &[Cause]| model.evidence(&additional(causes));
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
@@ -252,7 +252,7 @@ pub(crate) fn zero_instead_of_frame(
     zeros: impl Iterator<Item = Cause>,
 ) -> Option<Cause> {
     let model = |(observations, stream): (&&PoseObservations, &StreamState)| {
-        DeviationModel::linearize(observations, stream, &state.offsets)
+        DeviationModel::linearize(observations.at(stream, &state.offsets))
     };
     let models: Vec<DeviationModel> =
         observations.iter().zip(&state.streams).map(model).collect::<Option<_>>()?;
@@ -329,16 +329,11 @@ impl DeviationFit {
 
 impl DeviationModel {
     /// The weights come from the residual when all links may deviate by about 1 mm.
-    fn linearize(
-        observations: &PoseObservations,
-        state: &StreamState,
-        offsets: &[f64],
-    ) -> Option<Self> {
-        let rows = observations.rows(MAX_DEVIATION_SAMPLES);
-        let linear =
-            link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
-        let joints = observations.columns.len();
-        let (columns, kinds) = parameters(observations, state);
+    fn linearize(stream: StreamAt) -> Option<Self> {
+        let rows = stream.observations.rows(MAX_DEVIATION_SAMPLES);
+        let linear = link_frames(stream, rows, FreeAlongside::ZerosAndRadialScale);
+        let joints = stream.observations.columns.len();
+        let (columns, kinds) = parameters(stream);
         // Position and rotation of each sample.
         if 6 * linear.len() <= kinds.len() {
             return None;
@@ -688,10 +683,8 @@ impl DeviationModel {
 /// Columns of [`link_frames`] and kinds of the parameters: deviations of each link frame, latency, zeros (a
 /// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
 /// zero.
-fn parameters(
-    observations: &PoseObservations,
-    state: &StreamState,
-) -> (DMatrix<f64>, Vec<DeviationParameter>) {
+fn parameters(stream: StreamAt) -> (DMatrix<f64>, Vec<DeviationParameter>) {
+    let observations = stream.observations;
     let joints = observations.columns.len();
     let latency = 6 * (joints + 1);
     let unit = |is_rotation: bool| if is_rotation { RAD_PER_M } else { 1.0 };
@@ -701,7 +694,7 @@ fn parameters(
     let axes = observations.chain.joint_axes();
     let kinds = observations.chain.joint_kinds();
     for link in 0..=joints {
-        let is_free = is_free_parameter(6 * link, observations, state);
+        let is_free = is_free_parameter(6 * link, stream);
         let joint = link.checked_sub(1).filter(|_| !is_free);
         let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
         for (axis, is_rotation) in (0..6).map(|i| (i % 3, i >= 3)) {

@@ -105,7 +105,7 @@ impl Linearized {
         candidates: &[Cause],
     ) -> Self {
         let of_stream = |(s, observations): (usize, &&PoseObservations)| {
-            let linear = observations.linearize(&state.streams[s], &state.offsets, max_samples);
+            let linear = observations.at(&state.streams[s], &state.offsets).linearize(max_samples);
             let (joints, start) = (state.offsets.len(), state.index(s, 0));
             let parameters = (0..joints).chain(start..start + STREAM_WIDTH).collect();
             StreamEquations { weights: linear.first_weights(), linear, parameters }
@@ -429,7 +429,7 @@ pub(crate) fn or_without_causes(
     model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
     let is_near = |(s, with): (usize, &Linear)| {
         let (stream, offsets) = (&start.streams[s], &start.offsets);
-        let without = observations[s].linearize(stream, offsets, SAMPLES_OF_FIRST_COMPARISON);
+        let without = observations[s].at(stream, offsets).linearize(SAMPLES_OF_FIRST_COMPARISON);
         rms(&without.residual[0]) < MAX_RATIO * rms(&with.residual[0])
     };
     if !model.linear.streams().enumerate().all(is_near) {

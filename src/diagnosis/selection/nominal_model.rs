@@ -12,9 +12,7 @@
 
 use crate::latency::profile::explains_excess;
 use crate::model::jacobian::link_derivatives;
-use crate::model::measurement::{
-    FLOOR_M, FLOOR_RAD, PoseObservations, Prediction, State, StreamState,
-};
+use crate::model::measurement::{FLOOR_M, FLOOR_RAD, Prediction, StreamAt, StreamState};
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::{Noise, rms};
@@ -44,32 +42,25 @@ const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
 const MAX_SAMPLES: usize = 1000;
 const FIT_ROUNDS: usize = 4;
 
-/// Whether small changes of the link frames explain `observations` better than the causes in `state`. `stream_state`
-/// has only latency and large frames, `offsets` the joint zeros too large for link deviations. `dropped` is the
-/// number of parameters of the other causes.
-pub(crate) fn is_nominal(
-    observations: &PoseObservations,
-    stream: usize,
-    state: &State,
-    dropped: usize,
-    stream_state: &StreamState,
-    offsets: &[f64],
-) -> bool {
-    let as_recorded = observations.linearize(stream_state, offsets, MAX_SAMPLES);
+/// Whether small changes of the link frames explain a stream better than the causes of its model. Without these causes, it
+/// has only latency and large frames, and the joint zeros too large for link deviations. `dropped` is the number of
+/// parameters of the causes.
+pub(crate) fn is_nominal(without_causes: StreamAt, with_causes: StreamAt, dropped: usize) -> bool {
+    let as_recorded = without_causes.linearize(MAX_SAMPLES);
     let [rms_m, rms_rad] = rms_of_kinds(&as_recorded.residual);
     if !is_calibratable([rms_m, rms_rad]) {
         return false;
     }
-    let calibration = LinkFrameChanges::fit(observations, stream_state, offsets);
+    let calibration = LinkFrameChanges::fit(without_causes);
     let square_over_noise =
         |kind: usize, rms: f64| rms.powi(2) - 3.0 * calibration.weights[kind].noise.sigma.powi(2);
     let excess = square_over_noise(0, rms_m).max(square_over_noise(1, rms_rad) / RAD_PER_M.powi(2));
-    let is_named = offsets.iter().any(|offset| *offset != 0.0);
+    let is_named = without_causes.offsets.iter().any(|offset| *offset != 0.0);
     let min_excess_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
     if excess < min_excess_m.powi(2) {
         return false;
     }
-    let explained = observations.linearize(&state.streams[stream], &state.offsets, MAX_SAMPLES);
+    let explained = with_causes.linearize(MAX_SAMPLES);
     let saved = price(calibration.samples as f64) * dropped as f64;
     calibration.gain_over(&explained.weights()) + saved > calibration.price()
 }
@@ -80,26 +71,25 @@ pub(crate) fn is_nominal(
 ///
 /// `state` excludes causes that calibrations explain. It refers to stamps without `removed`.
 pub(crate) fn is_unsteady_beside_links(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
+    StreamAt { observations, state, offsets }: StreamAt,
     profile: &LatencyProfile,
     removed: Option<&PiecewiseLatency>,
 ) -> Option<bool> {
     let logged_s = |t_s: f64| removed.map_or(t_s, |ramp| ramp.logged_s(t_s));
     let logged = observations.with_stamps(logged_s);
     let steady = observations.with_stamps(|t_s| logged_s(t_s) - profile.levels.at(logged_s(t_s)));
-    let as_logged = logged.linearize(state, offsets, MAX_SAMPLES);
+    let as_logged = logged.at(state, offsets).linearize(MAX_SAMPLES);
     if !is_calibratable(rms_of_kinds(&as_logged.residual)) {
         return None;
     }
     // The constant latency absorbs the pivot of the skew.
     let mut steady_state = StreamState { skew: profile.skew, ..state.clone() };
     for _ in 0..2 {
-        steady_state.latency_s += steady.residual_at_latency(&steady_state, offsets, MAX_SAMPLES).1;
+        steady_state.latency_s +=
+            steady.at(&steady_state, offsets).residual_at_latency(MAX_SAMPLES).1;
     }
-    let constant = LinkFrameChanges::fit(&logged, state, offsets);
-    let unsteady = LinkFrameChanges::fit(&steady, &steady_state, offsets);
+    let constant = LinkFrameChanges::fit(logged.at(state, offsets));
+    let unsteady = LinkFrameChanges::fit(steady.at(&steady_state, offsets));
     let price = price(unsteady.samples as f64) * profile.parameters as f64;
     let excess = |fit: &LinkFrameChanges| {
         [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
@@ -114,12 +104,8 @@ pub(crate) fn is_unsteady_beside_links(
 
 /// Noise of positions and rotations beside the likeliest link deviations, m and rad, and the sum of the squares of these,
 /// relative to their prior.
-pub(crate) fn noise_beside_links(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-) -> (Vec<f64>, f64) {
-    let fit = LinkFrameChanges::fit(observations, state, offsets);
+pub(crate) fn noise_beside_links(stream: StreamAt) -> (Vec<f64>, f64) {
+    let fit = LinkFrameChanges::fit(stream);
     let constrained = fit.step.iter().zip(&fit.usual).filter(|(_, usual)| **usual != FREE_PRIOR);
     let squares = constrained.map(|(step, usual)| (step / usual).powi(2)).sum();
     (fit.weights.iter().map(|weight| weight.noise.sigma).collect(), squares)
@@ -135,16 +121,11 @@ pub(crate) struct Timing {
     pub is_skewed: bool,
 }
 
-/// `state` is the stream's.
-pub(crate) fn timing_beside_link_deviations(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
-    has_skew: bool,
-) -> Option<Timing> {
+pub(crate) fn timing_beside_link_deviations(stream: StreamAt, has_skew: bool) -> Option<Timing> {
+    let StreamAt { observations, state, .. } = stream;
     let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
-    let frames = link_frames(observations, state, offsets, observations.rows(MAX_SAMPLES), free);
-    let fit = LinkFrameChanges::fit_to(&frames, observations, state, LINK_PRIOR_M);
+    let frames = link_frames(stream, observations.rows(MAX_SAMPLES), free);
+    let fit = LinkFrameChanges::fit_to(&frames, stream, LINK_PRIOR_M);
     let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
     let dof = (fit.normal.independent - frames.width as f64).max(1.0);
     let measured = |column: usize, before: f64| Measured {
@@ -184,39 +165,29 @@ struct LinkFrameChanges {
 /// Residuals after the likeliest link frame changes, m and rad, for up to `most` covered samples. The links deviate by about
 /// `link_m`.
 pub(crate) fn calibrated_residuals(
-    observations: &PoseObservations,
-    stream_state: &StreamState,
+    stream: StreamAt,
     link_m: Option<f64>,
     most: usize,
 ) -> Vec<Vec<Vec3>> {
     let link_m = link_m.map_or(LINK_PRIOR_M, |link_m| link_m.max(LINK_PRIOR_M));
-    let none = vec![0.0; observations.joints.dof];
-    let linearized = |most: usize| {
-        let rows = observations.rows(most);
-        link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
-    };
-    let frames = linearized(MAX_SAMPLES);
-    let calibration = LinkFrameChanges::fit_to(&frames, observations, stream_state, link_m);
+    let linearized =
+        |most: usize| link_frames(stream, stream.observations.rows(most), FreeAlongside::Nothing);
+    let calibration = LinkFrameChanges::fit_to(&linearized(MAX_SAMPLES), stream, link_m);
     linearized(most).residuals_after(calibration.step.as_slice())
 }
 
 impl LinkFrameChanges {
-    fn fit(observations: &PoseObservations, stream_state: &StreamState, offsets: &[f64]) -> Self {
-        let rows = observations.rows(MAX_SAMPLES);
-        let frames = link_frames(observations, stream_state, offsets, rows, FreeAlongside::Nothing);
-        Self::fit_to(&frames, observations, stream_state, LINK_PRIOR_M)
+    fn fit(stream: StreamAt) -> Self {
+        let rows = stream.observations.rows(MAX_SAMPLES);
+        let frames = link_frames(stream, rows, FreeAlongside::Nothing);
+        Self::fit_to(&frames, stream, LINK_PRIOR_M)
     }
 
     /// The same for the linearised `frames` of [`link_frames`], with link deviations of about `link_m`.
-    fn fit_to(
-        frames: &Linear,
-        observations: &PoseObservations,
-        stream_state: &StreamState,
-        link_m: f64,
-    ) -> Self {
+    fn fit_to(frames: &Linear, stream: StreamAt, link_m: f64) -> Self {
         // Wide for those free without a calibration, such as an undeclared tool.
         let usual = |i: usize| match i % 6 {
-            _ if is_free_parameter(i, observations, stream_state) => FREE_PRIOR,
+            _ if is_free_parameter(i, stream) => FREE_PRIOR,
             0..3 => link_m,
             _ => LINK_PRIOR_RAD * link_m / LINK_PRIOR_M,
         };
@@ -280,15 +251,11 @@ impl LinkFrameChanges {
 }
 
 /// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
-pub(crate) fn is_free_parameter(
-    i: usize,
-    observations: &PoseObservations,
-    stream_state: &StreamState,
-) -> bool {
+pub(crate) fn is_free_parameter(i: usize, StreamAt { observations, state, .. }: StreamAt) -> bool {
     let joints = observations.columns.len();
     match i / 6 {
-        0 => !observations.reference_known || stream_state.reference != Pose::identity(),
-        link if link == joints => stream_state.tool != Pose::identity(),
+        0 => !observations.reference_known || state.reference != Pose::identity(),
+        link if link == joints => state.tool != Pose::identity(),
         link => link > joints,
     }
 }
@@ -303,16 +270,15 @@ pub(crate) enum FreeAlongside {
     ZerosAndRadialScale,
 }
 
-/// Linearises samples about `stream_state` and `offsets`. Columns: six changes each for the reference and every
+/// Linearises samples. Columns: six changes each for the reference and every
 /// joint's child link frame, the latency, then the parameters in `with`. The noise includes the error of the linearisation
 /// if the changes explain the residual.
 pub(crate) fn link_frames(
-    observations: &PoseObservations,
-    stream_state: &StreamState,
-    offsets: &[f64],
+    stream: StreamAt,
     rows: impl Iterator<Item = usize>,
     with: FreeAlongside,
 ) -> Linear {
+    let StreamAt { observations, state, .. } = stream;
     let joints = observations.columns.len();
     let width = 6 * (joints + 1)
         + match with {
@@ -322,15 +288,15 @@ pub(crate) fn link_frames(
             FreeAlongside::ZerosAndRadialScale => joints + 2,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-    let mut predictor = observations.predictor(stream_state, offsets);
+    let mut predictor = stream.predictor();
     let (mut links, mut derivatives) = (Vec::new(), Vec::with_capacity(width));
     for k in rows {
         let Some(Prediction { jacobian, q, qd, .. }) = predictor.at(k) else { continue };
         observations.chain.joint_frames(q, &mut links);
         let tip = jacobian.pose.translation.vector;
-        let frames = links.iter().map(|link| stream_state.reference * link);
+        let frames = links.iter().map(|link| state.reference * link);
         derivatives.clear();
-        for frame in [stream_state.reference].into_iter().chain(frames) {
+        for frame in [state.reference].into_iter().chain(frames) {
             derivatives.extend(link_derivatives(&frame, &tip));
         }
         let late = jacobian.velocity(qd).map(|part| -part);
@@ -346,7 +312,7 @@ pub(crate) fn link_frames(
             }
         }
         if with == FreeAlongside::ZerosAndRadialScale {
-            let from_base = tip - stream_state.reference.translation.vector;
+            let from_base = tip - state.reference.translation.vector;
             derivatives.push([from_base, Vec3::zeros()]);
         }
         let mut rows = linear.push(&observations.residual(k, &jacobian.pose));

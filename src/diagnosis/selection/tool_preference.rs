@@ -30,7 +30,7 @@ pub(crate) fn prefer_tool_frames(
         }
         let by_reference = StreamState { radial_scale: 0.0, ..stream.clone() };
         let without_reference = StreamState { reference: Pose::identity(), ..by_reference.clone() };
-        let Some(tool) = tool_start(observations_of_stream, &without_reference, offsets) else {
+        let Some(tool) = tool_start(observations_of_stream.at(&without_reference, offsets)) else {
             continue;
         };
         // Link deviations imitate smaller frames, whichever end they are at.
@@ -38,7 +38,7 @@ pub(crate) fn prefer_tool_frames(
             continue;
         }
         let by_tool = StreamState { tool, ..without_reference };
-        let beside_links = |state| noise_beside_links(observations_of_stream, state, offsets);
+        let beside_links = |state| noise_beside_links(observations_of_stream.at(state, offsets));
         let (tool_noise, tool_links) = beside_links(&by_tool);
         let (reference_noise, reference_links) = beside_links(&by_reference);
         let noise = || tool_noise.iter().zip(&reference_noise);
