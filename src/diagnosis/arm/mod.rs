@@ -109,7 +109,7 @@ impl<'a> EncodedRun<'a> {
                 is_prismatic[column] = *kind == JointKind::Prismatic;
             }
         }
-        let corrected = CorrectedJoints::new(joints, &encoding, &is_prismatic);
+        let corrected = CorrectedJoints::new(joints, &encoding, is_prismatic);
         let corrected = if are_derived { corrected.for_derived() } else { corrected };
         let track = corrected.approximate_track();
         let estimate =
@@ -157,8 +157,7 @@ impl<'a> EncodedRun<'a> {
             true => BesideLinks::default(),
         };
         if has_zeros {
-            let track = &corrected.track;
-            result.offsets = joint_offsets(fitted, &usable, track, held_out, beside_links);
+            result.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
             result.scales = joint_scales(fitted, corrected);
             result.couplings = joint_couplings(fitted, corrected);
         }

@@ -9,7 +9,6 @@ use crate::selection::model_selection::Cause;
 use crate::{Confounder, JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
-use ground::stream::JointTrack;
 use std::f64::consts::TAU;
 
 pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
@@ -28,11 +27,12 @@ pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<Joint
 pub(super) fn joint_offsets(
     fitted: &ArmFit,
     decoded: &[&DecodedStream],
-    joints: &JointTrack,
+    corrected: &CorrectedJoints,
     held_out: &HeldOut,
     beside_links: &BesideLinks,
 ) -> Vec<JointOffset> {
     let ArmFit { model, candidates, .. } = fitted;
+    let joints = &corrected.track;
     // By more than 3° (or 50 mm).
     let moved: Vec<bool> = (0..joints.dof).map(|joint| travel(joints, joint) > 0.05).collect();
     let several_moved = moved.iter().filter(|moved| **moved).count() > 1;
@@ -70,7 +70,7 @@ pub(super) fn joint_offsets(
                 };
                 all_confounders.extend(of_frame.filter(is_new));
             }
-            let is_slide = is_prismatic(decoded, joint);
+            let is_slide = corrected.is_prismatic[joint];
             let turns = |value: f64| if is_slide { 0.0 } else { TAU * half_turns(value) };
             let within_a_turn =
                 |offset: Measured| Measured { value: offset.value - turns(offset.value), ..offset };
@@ -101,13 +101,6 @@ fn frame_of_end(decoded: &[&DecodedStream], column: usize, size: f64) -> Option<
         joint if joint + 1 == observations.columns.len() => Some(Confounder::Tool(0, size)),
         _ => None,
     }
-}
-
-fn is_prismatic(decoded: &[&DecodedStream], joint: usize) -> bool {
-    decoded.iter().any(|DecodedStream { observations, .. }| {
-        let index = observations.columns.iter().position(|&column| column == joint);
-        index.is_some_and(|index| observations.chain.joint_kinds()[index] == JointKind::Prismatic)
-    })
 }
 
 pub(super) fn joint_scales(fitted: &ArmFit, corrected: &CorrectedJoints) -> Vec<JointScale> {

@@ -11,7 +11,7 @@ use super::rotation::{
 use crate::frames::position_fit::spread;
 use crate::joints::CorrectedJoints;
 use crate::latency::correlation::LagPeak;
-use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
+use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState};
 use crate::samples::sampling::{MAX_SEARCH_SAMPLES, check_sample_count, slow_samples};
 use crate::{
     AxesError, EncodingEstimate, EstimateResult, LastTurn, NotObservable, PoseStream, UnitResiduals,
@@ -116,10 +116,6 @@ pub(crate) fn decode_stream<'a>(
         excluded: ExcludedComponents {
             position: standard_axes(placement.constant, &interpretation.axes),
             rotation: fit.is_none(),
-        },
-        tool_part: match fit {
-            None => ToolPart::Point,
-            Some(_) => ToolPart::Whole,
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
         moving_frame: stream.moving_frame,

@@ -2,7 +2,9 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
-use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, twist_of};
+use crate::model::measurement::{
+    PoseObservations, StreamAt, StreamState, pose_of_twist, stacked, twist_of,
+};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
@@ -12,7 +14,7 @@ use ground::geometry::{
     rotation_from_rotvec, rotvec_from_rotation,
 };
 use ground::stats::{MeasuredLength, joint_p_value};
-use nalgebra::{Matrix3, SMatrix, SVector};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 use std::sync::LazyLock;
 
 const INITIAL_GUESS_SAMPLES: usize = 120;
@@ -29,8 +31,8 @@ pub(crate) fn starting_states(
     latency_s: f64,
     offsets: &[f64],
 ) -> Vec<StreamState> {
-    let tool_part = observations.tool_part;
-    let without_frames = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
+    let is_tool_point = observations.excluded.rotation;
+    let without_frames = StreamState { is_tool_point, ..StreamState::at_latency(latency_s) };
     let (fk, logged) = pose_pairs(observations.at(&without_frames, offsets));
     if fk.len() < 3 {
         return vec![without_frames];
@@ -224,22 +226,23 @@ fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, P
         fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
     let tool_turn = mean_rotation(&tools);
     // p = t + turn·(p_fk + R_fk·c): linear in t and c.
-    let mut normal = SMatrix::<f64, 6, 6>::zeros();
-    let mut right = SVector::<f64, 6>::zeros();
+    let (mut hands, mut right) = (Matrix3::zeros(), [Vec3::zeros(); 2]);
     for (fk, l) in fk.iter().zip(logged) {
-        let r = (turn * fk.rotation).to_rotation_matrix();
-        let mut rows = SMatrix::<f64, 3, 6>::zeros();
-        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
-        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(r.matrix());
+        let hand = turn * fk.rotation;
         let target = l.translation.vector - turn * fk.translation.vector;
-        normal += rows.transpose() * rows;
-        right += rows.transpose() * target;
+        hands += hand.to_rotation_matrix().matrix();
+        right[0] += target;
+        right[1] += hand.inverse() * target;
     }
+    let mut normal = Matrix6::identity() * fk.len() as f64;
+    normal.fixed_view_mut::<3, 3>(0, 3).copy_from(&hands);
+    normal.fixed_view_mut::<3, 3>(3, 0).copy_from(&hands.transpose());
     for i in 3..6 {
         normal[(i, i)] += (START_NOISE_M / MARKER_PRIOR_M).powi(2);
     }
-    let solution = normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right));
-    let xyz = |first: usize| [solution[first], solution[first + 1], solution[first + 2]];
+    let right = Vector6::from(stacked(right));
+    let solution = normal.cholesky().map_or_else(Vector6::zeros, |c| c.solve(&right));
+    let xyz = |first: usize| solution.fixed_rows::<3>(first).into_owned().into();
     (pose(xyz(0), turn), pose(xyz(3), tool_turn))
 }
 

@@ -19,13 +19,15 @@ pub(crate) struct CorrectedJoints {
     pub factors: Vec<f64>,
     /// Maximum speed at rest per joint.
     pub rest_speeds: Vec<f64>,
+    /// Per joint.
+    pub is_prismatic: Vec<bool>,
     /// Whether the streams are computed from the joint states, so zeros and frames have no errors.
     pub is_derived: bool,
 }
 
 impl CorrectedJoints {
-    pub fn new(joints: &JointTrack, encoding: &JointEncoding, prismatic: &[bool]) -> Self {
-        let track = correct_joints(joints, encoding, prismatic);
+    pub fn new(joints: &JointTrack, encoding: &JointEncoding, is_prismatic: Vec<bool>) -> Self {
+        let track = correct_joints(joints, encoding, &is_prismatic);
         let JointEncoding { unit_errors, couplings, zeros, .. } = encoding;
         let is_off = zeros.iter().any(|zero| *zero != 0.0);
         let scaled = unit_errors.iter().filter(|error| error.unit == JointUnit::Scaled);
@@ -44,6 +46,7 @@ impl CorrectedJoints {
             offsets,
             gains,
             factors,
+            is_prismatic,
             is_derived: false,
         }
     }

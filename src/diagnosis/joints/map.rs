@@ -72,6 +72,10 @@ impl JointMap {
         }
     }
 
+    fn ends(&self, joint: usize, spans: &[[f64; 2]]) -> [f64; 2] {
+        spans[self.from[joint]].map(|end| self.factor[joint] * end + self.zero[joint])
+    }
+
     /// Whether a revolute joint is far beyond its limits or, without limits, several turns.
     pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
         const MAX_LIMIT_RATIO: f64 = 2.0;
@@ -79,8 +83,8 @@ impl JointMap {
         chain.turning_joints().any(|j| {
             let limits = chain.limits()[j];
             let most = limits.lower.zip(limits.upper).map(|(low, high)| low.abs().max(high.abs()));
-            let ends = spans[self.from[j]].map(|end| self.factor[j] * end + self.zero[j]);
-            let farthest = ends[0].abs().max(ends[1].abs());
+            let [first, last] = self.ends(j, spans);
+            let farthest = first.abs().max(last.abs());
             farthest > most.map_or(MAX_TURNS * TAU, |most| most + MAX_LIMIT_RATIO)
         })
     }
@@ -90,9 +94,8 @@ impl JointMap {
         let is_beyond = |j: &usize| {
             let limits = chain.limits()[*j];
             let Some((lower, upper)) = limits.lower.zip(limits.upper) else { return false };
-            let ends = spans[self.from[*j]].map(|end| self.factor[*j] * end + self.zero[*j]);
             let room = 0.05 * (upper - lower);
-            ends.iter().any(|end| *end < lower - room || *end > upper + room)
+            self.ends(*j, spans).iter().any(|end| *end < lower - room || *end > upper + room)
         };
         (0..self.from.len()).filter(is_beyond).count()
     }
@@ -140,11 +143,9 @@ pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
             }
         }
     }
-    maps.push(scaled(chain, -1.0, 1.0));
-    maps.push(scaled(chain, -1.0, -1.0));
-    maps.push(scaled(chain, -degree, 1.0));
-    // Radians declared as degrees.
-    maps.push(scaled(chain, 1.0 / degree, 1.0));
+    // The last are radians declared as degrees.
+    let reversed = [(-1.0, 1.0), (-1.0, -1.0), (-degree, 1.0), (1.0 / degree, 1.0)];
+    maps.extend(reversed.map(|(turning, sliding)| scaled(chain, turning, sliding)));
     for bits in 8..=24 {
         let tick = TAU / f64::from(1 << bits);
         for sign in [1.0, -1.0] {

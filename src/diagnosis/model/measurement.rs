@@ -78,31 +78,10 @@ pub(crate) struct PoseObservations<'a> {
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
     pub excluded: ExcludedComponents,
-    pub tool_part: ToolPart,
     /// Skew has no effect at this stamp, s.
     pub middle_s: f64,
     /// Frame of the logged poses, if it moves in the base. The poses are transformed to the base.
     pub moving_frame: Option<&'a MovingFrame>,
-}
-
-/// Components of a tool that a log can determine.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum ToolPart {
-    /// Translation and rotation.
-    #[default]
-    Whole,
-    /// Translation only, without orientations.
-    Point,
-}
-
-impl ToolPart {
-    /// Number of determined parameters, the first ones of the tool.
-    pub fn width(self) -> usize {
-        match self {
-            Self::Whole => 6,
-            Self::Point => 3,
-        }
-    }
 }
 
 #[derive(Clone, Debug, Default)]
@@ -116,7 +95,8 @@ pub(crate) struct StreamState {
     pub round_reference: Option<Pose>,
     /// Same for `tool`.
     pub round_tool: Option<Pose>,
-    pub tool_part: ToolPart,
+    /// Whether the rotation of the tool is not estimated, without orientations.
+    pub is_tool_point: bool,
 }
 
 impl StreamState {
@@ -344,7 +324,6 @@ impl<'a> PoseObservations<'a> {
             xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
             rotation: poses.iter().map(|pose| pose.rotation).collect(),
             excluded: ExcludedComponents::default(),
-            tool_part: ToolPart::Whole,
             middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
             moving_frame: None,
         }

@@ -5,10 +5,7 @@
 //! motion through the whole joint space, such as the first joint's zero against a base rotation, are not
 //! observable in any log and are excluded.
 
-use super::measurement::{
-    LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
-    STREAM_WIDTH, StreamAt, StreamState, TOOL_COLUMNS_START,
-};
+use super::measurement::{PoseObservations, STREAM_WIDTH, StreamAt, StreamState};
 use crate::samples::sampling::value_range;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::JointKind;
@@ -48,20 +45,15 @@ pub enum StreamParameter {
 }
 
 impl StreamParameter {
-    fn from_stream_column(column: usize) -> Self {
-        match column {
-            LATENCY_COLUMN => Self::Latency,
-            SKEW_COLUMN => Self::Skew,
-            RADIAL_SCALE_COLUMN => Self::RadialScale,
-            _ if column < REFERENCE_COLUMNS_START + 3 => {
-                Self::ReferenceShift(column - REFERENCE_COLUMNS_START)
-            }
-            _ if column < TOOL_COLUMNS_START => {
-                Self::ReferenceTurn(column - REFERENCE_COLUMNS_START - 3)
-            }
-            _ if column < TOOL_COLUMNS_START + 3 => Self::ToolShift(column - TOOL_COLUMNS_START),
-            _ => Self::ToolTurn(column - TOOL_COLUMNS_START - 3),
-        }
+    /// Parameters of a stream, in the order of their columns.
+    fn of_stream() -> impl Iterator<Item = Self> {
+        let axes = |of: fn(usize) -> Self| (0..3).map(of);
+        [Self::Latency, Self::Skew, Self::RadialScale]
+            .into_iter()
+            .chain(axes(Self::ReferenceShift))
+            .chain(axes(Self::ReferenceTurn))
+            .chain(axes(Self::ToolShift))
+            .chain(axes(Self::ToolTurn))
     }
 }
 
@@ -95,18 +87,16 @@ impl Observability {
         let has_zero = |joint: &usize| {
             !observations.chain.is_floating() && observations.columns.contains(joint)
         };
-        let joints = (0..dof).filter(has_zero);
+        let joints: Vec<usize> = (0..dof).filter(has_zero).collect();
         let own = offsets.len();
-        let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
-        let parameter = |&column: &usize| match column.checked_sub(own) {
-            None => StreamParameter::JointZero(column),
-            Some(own) => StreamParameter::from_stream_column(own),
-        };
+        let zeros = joints.iter().copied().map(StreamParameter::JointZero);
+        let parameters = zeros.chain(StreamParameter::of_stream()).collect();
+        let kept: Vec<usize> = joints.into_iter().chain(own..own + STREAM_WIDTH).collect();
         let part = |matrix: &DMatrix<f64>| {
             DMatrix::from_fn(kept.len(), kept.len(), |i, j| matrix[(kept[i], kept[j])])
         };
         Self {
-            parameters: kept.iter().map(parameter).collect(),
+            parameters,
             information: part(information),
             possible: part(&achievable_information(stream)),
             travel: (0..dof).map(|joint| travel(observations.joints, joint)).collect(),

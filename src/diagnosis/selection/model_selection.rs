@@ -50,7 +50,8 @@ impl Cause {
             Cause::RadialScale(stream) => (stream, RADIAL_SCALE_COLUMN, 1),
             Cause::Reference(stream) => (stream, REFERENCE_COLUMNS_START, 6),
             Cause::Tool(stream) => {
-                (stream, TOOL_COLUMNS_START, state.streams[stream].tool_part.width())
+                let count = if state.streams[stream].is_tool_point { 3 } else { 6 };
+                (stream, TOOL_COLUMNS_START, count)
             }
         };
         let start = state.index(stream, first);
