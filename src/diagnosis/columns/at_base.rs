@@ -1,10 +1,11 @@
 //! Search for tool positions in the arm's base frame. Only the tool offset is free, so motion of one or two
 //! joints is enough.
 
-use super::{ColumnCandidate, JointColumns, MAX_TOOL_M, MappingConstraints, NumericTable};
+use super::{
+    ColumnCandidate, JointColumns, MAX_TOOL_M, MappingConstraints, NumericTable, best_candidates,
+};
 use ground::geometry::{Pose, Vec3, mean_vector};
 use ground::robot::Chain;
-use rayon::prelude::*;
 
 /// Share of the position's extent, before the latency is fitted.
 const MAX_RESIDUAL_SHARE: f64 = 0.3;
@@ -27,25 +28,13 @@ impl NumericTable {
             .into_iter()
             .filter_map(|position| PositionColumns::from_columns(self, position, rows))
             .collect();
+        let shares = |block: &JointColumns, lag_s: f64| {
+            let fk = self.poses_at(block, constraints.chains[block.arm], rows, lag_s);
+            let free = logged.iter().filter(|logged| !block.contain_any(&logged.position));
+            free.filter_map(|logged| Some((logged.residual_share(&fk)?, logged.position))).collect()
+        };
         let blocks = self.candidate_blocks(constraints, 1);
-        let near = blocks.par_iter().flat_map_iter(|block| {
-            let JointColumns { arm, joints, .. } = block;
-            let is_free = |logged: &&PositionColumns| {
-                !logged.position.iter().any(|column| joints.contains(column))
-            };
-            let mut near = Vec::new();
-            for &lag_s in lags_s {
-                let fk = self.poses_at(block, constraints.chains[*arm], rows, lag_s);
-                let shares = logged.iter().filter(is_free);
-                near.extend(shares.filter_map(|logged| {
-                    Some((logged.residual_share(&fk)?, block, logged.position))
-                }));
-            }
-            near
-        });
-        let mut near: Vec<(f64, &JointColumns, [usize; 3])> = near.collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        ColumnCandidate::first_of_each(near.into_iter(), MAX_CANDIDATES, MAX_ARMS)
+        best_candidates(&blocks, lags_s, (MAX_CANDIDATES, MAX_ARMS), shares)
     }
 
     /// Compares the whole table at all speeds, at this latency.
@@ -106,10 +95,8 @@ impl PositionColumns {
     /// Residual with the best tool offset, as a share of the extent, in the base frame or one turned by
     /// 180° about z. `None` if it is large or the tool longer than [`MAX_TOOL_M`].
     fn residual_share(&self, fk: &[Pose]) -> Option<f64> {
-        [1.0, -1.0]
-            .into_iter()
-            .filter_map(|turn| self.residual_share_rotated(fk, turn))
-            .reduce(f64::min)
+        let shares = [1.0, -1.0].map(|turn| self.residual_share_rotated(fk, turn));
+        shares.into_iter().flatten().reduce(f64::min)
     }
 
     fn residual_share_rotated(&self, fk: &[Pose], turn: f64) -> Option<f64> {

@@ -2,7 +2,7 @@
 
 use super::{MIN_MOVING_JOINTS, NumericTable, tolerated_range};
 use ground::robot::Chain;
-use ground::stats::{median, parabola_minimum};
+use ground::stats::{mean, median, parabola_minimum};
 
 /// Between a column and another's rate.
 const MIN_RATE_CORRELATION: f64 = 0.95;
@@ -68,7 +68,7 @@ impl NumericTable {
     }
 
     fn mean(&self, column: usize) -> f64 {
-        self.columns[column].iter().sum::<f64>() / self.t_s.len() as f64
+        mean(self.columns[column].iter().copied())
     }
 
     fn minus(&self, column: usize, by: f64) -> Vec<f64> {
@@ -82,15 +82,14 @@ impl NumericTable {
         let rows = self.t_s.len();
         let step_s = self.step_s();
         let max_shift = ((MAX_SHIFT_S / step_s) as usize).min(rows / 4) as i64;
-        let power =
-            |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
+        let power = |series: &[f64]| mean(series.iter().map(|value| value * value));
         let moving: Vec<usize> = (0..ours.len()).filter(|&at| power(&ours[at]) > 1e-8).collect();
         let residual = |by: i64| -> f64 {
             let share = |&at: &usize| {
                 let (first, end) = (by.max(0) as usize, (rows as i64 + by.min(0)) as usize);
-                let differences = (first..end)
-                    .map(|row| (theirs[at][row] - ours[at][(row as i64 - by) as usize]).powi(2));
-                differences.sum::<f64>() / (end - first) as f64 / power(&ours[at])
+                let difference =
+                    |row: usize| theirs[at][row] - ours[at][(row as i64 - by) as usize];
+                mean((first..end).map(|row| difference(row).powi(2))) / power(&ours[at])
             };
             moving.iter().map(share).fold(0.0, f64::max)
         };
@@ -168,10 +167,8 @@ impl NumericTable {
         if self.t_s.len() < MIN_RATE_ROWS {
             return 0.0;
         }
-        correlation(
-            &normalized(self.inner_values(column).collect()),
-            &normalized(self.rates(of).collect()),
-        )
+        let values = normalized(self.inner_values(column).collect());
+        correlation(&values, &normalized(self.rates(of).collect()))
     }
 
     /// Compares in that column's unit per second.
@@ -213,10 +210,8 @@ impl NumericTable {
         };
         let shifts = (1..count as isize).flat_map(|by| [by, -by]);
         let are_rates = |rates: &Vec<usize>| {
-            let pairs = columns.iter().zip(rates).filter(|(at, _)| moving.contains(at));
-            pairs
-                .into_iter()
-                .all(|(&at, &rate)| self.rate_correlation(rate, at) > MIN_RATE_CORRELATION)
+            let mut pairs = columns.iter().zip(rates).filter(|(at, _)| moving.contains(at));
+            pairs.all(|(&at, &rate)| self.rate_correlation(rate, at) > MIN_RATE_CORRELATION)
         };
         shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
     }
@@ -276,7 +271,7 @@ impl NumericTable {
 
 /// Without its mean, and of unit length; zero if it is constant or not finite.
 fn normalized(mut series: Vec<f64>) -> Vec<f64> {
-    let mean = series.iter().sum::<f64>() / series.len().max(1) as f64;
+    let mean = mean(series.iter().copied());
     series.iter_mut().for_each(|value| *value -= mean);
     let length = series.iter().map(|value| value * value).sum::<f64>().sqrt();
     if length > 0.0 {

@@ -3,14 +3,12 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::MAX_ROWS;
-use crate::samples::sampling::range_of;
+use crate::samples::sampling::value_range;
+use ground::stats::cumulative;
 
 /// Start of the window with the most motion.
 pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize {
-    let spread = |values: &Vec<f64>| {
-        let [low, high] = range_of(values.iter().copied());
-        high - low
-    };
+    let spread = |values: &Vec<f64>| value_range(values.iter().copied());
     let spreads: Vec<f64> = columns.iter().map(spread).collect();
     let step = |pair: &[usize]| -> f64 {
         let of = |(values, spread): (&Vec<f64>, &f64)| {
@@ -19,10 +17,7 @@ pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize 
         };
         columns.iter().zip(&spreads).map(of).sum()
     };
-    let mut sums = vec![0.0];
-    for pair in rows.windows(2) {
-        sums.push(sums.last().copied().unwrap_or(0.0) + step(pair));
-    }
+    let sums = cumulative(rows.windows(2).map(step));
     let starts = (0..rows.len() - MAX_ROWS).step_by(MAX_ROWS / 10);
     let moved = |start: &usize| sums[start + MAX_ROWS - 1] - sums[*start];
     starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)

@@ -171,31 +171,6 @@ struct ColumnCandidate {
     share: f64,
 }
 
-impl ColumnCandidate {
-    /// The first of `sorted` (share, joints, position): at most `max_candidates` choices of columns, each with at
-    /// most `max_arms` arms.
-    fn first_of_each<'a>(
-        sorted: impl Iterator<Item = (f64, &'a JointColumns, [usize; 3])>,
-        max_candidates: usize,
-        max_arms: usize,
-    ) -> Vec<Self> {
-        let mut retained: Vec<Self> = Vec::new();
-        let mut count = 0;
-        for (share, block, position) in sorted {
-            let is_its =
-                |other: &&Self| other.block.joints == block.joints && other.position == position;
-            let arms: Vec<usize> = retained.iter().filter(is_its).map(|it| it.block.arm).collect();
-            let has_room =
-                if arms.is_empty() { count < max_candidates } else { arms.len() < max_arms };
-            if has_room && !arms.contains(&block.arm) {
-                count += usize::from(arms.is_empty());
-                retained.push(Self { block: block.clone(), position, share });
-            }
-        }
-        retained
-    }
-}
-
 /// Column per joint, base to tip, in chain order and sorted by joint name (common in drivers).
 fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     let names = chain.joint_names();
@@ -220,6 +195,44 @@ pub struct JointColumns {
     pub unit: JointValueUnit,
     /// Arm's index.
     pub arm: usize,
+}
+
+impl JointColumns {
+    fn contain_any(&self, position: &[usize; 3]) -> bool {
+        position.iter().any(|column| self.joints.contains(column))
+    }
+}
+
+/// Choices of joints and position with the smallest of `shares` at any lag: at most the first number of choices of columns,
+/// each with at most the second number of arms.
+fn best_candidates(
+    blocks: &[JointColumns],
+    lags_s: &[f64],
+    (max_candidates, max_arms): (usize, usize),
+    shares: impl Fn(&JointColumns, f64) -> Vec<(f64, [usize; 3])> + Sync,
+) -> Vec<ColumnCandidate> {
+    let of_block = |block| {
+        let all: Vec<(f64, [usize; 3])> =
+            lags_s.iter().flat_map(|&lag_s| shares(block, lag_s)).collect();
+        all.into_iter().map(move |(share, position)| (share, block, position))
+    };
+    let mut sorted: Vec<(f64, &JointColumns, [usize; 3])> =
+        blocks.par_iter().flat_map_iter(of_block).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut retained: Vec<ColumnCandidate> = Vec::new();
+    let mut count = 0;
+    for (share, block, position) in sorted {
+        let is_its = |other: &&ColumnCandidate| {
+            other.block.joints == block.joints && other.position == position
+        };
+        let arms: Vec<usize> = retained.iter().filter(is_its).map(|it| it.block.arm).collect();
+        let has_room = if arms.is_empty() { count < max_candidates } else { arms.len() < max_arms };
+        if has_room && !arms.contains(&block.arm) {
+            count += usize::from(arms.is_empty());
+            retained.push(ColumnCandidate { block: block.clone(), position, share });
+        }
+    }
+    retained
 }
 
 impl NumericTable {
@@ -487,24 +500,17 @@ impl NumericTable {
             position.iter().map(|&c| plain[c]).sum::<f64>()
                 > MIN_POLYNOMIAL_RESIDUAL_SHARE.powi(2) * own
         });
-        let blocks = self.candidate_blocks(constraints, MIN_MOVING_JOINTS);
-        let tried: Vec<(&JointColumns, f64)> = blocks
-            .iter()
-            .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
-            .collect();
-        let of = |(at, &(block, lag_s)): (usize, &(&JointColumns, f64))| {
+        let shares = |block: &JointColumns, lag_s: f64| {
             let chain = constraints.chains[block.arm];
-            let is_free = |position: &&[usize; 3]| {
-                !position.iter().any(|column| block.joints.contains(column))
-            };
-            let mut shares: Vec<(f64, usize, [usize; 3])> =
-                positions.iter().filter(is_free).map(|position| (0.0, at, *position)).collect();
+            let free = positions.iter().filter(|position| !block.contain_any(position));
+            let mut shares: Vec<(f64, [usize; 3])> =
+                free.map(|position| (0.0, *position)).collect();
             for (logged, rows, most) in &views {
                 if shares.is_empty() {
                     break;
                 }
                 let residuals = residual_squares(&self.design(block, chain, rows, lag_s), logged);
-                shares.retain_mut(|(share, _, position)| {
+                shares.retain_mut(|(share, position)| {
                     let squares = position.map(|column| logged.column(column).norm_squared());
                     let own: f64 = squares.iter().sum();
                     let moving = squares.iter().filter(|square| **square > 1e-4 * own).count();
@@ -515,11 +521,8 @@ impl NumericTable {
             }
             shares
         };
-        let mut near: Vec<(f64, usize, [usize; 3])> =
-            tried.par_iter().enumerate().flat_map_iter(of).collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let near = near.into_iter().map(|(share, at, position)| (share, tried[at].0, position));
-        ColumnCandidate::first_of_each(near, MAX_CANDIDATES, MAX_ARMS)
+        let blocks = self.candidate_blocks(constraints, MIN_MOVING_JOINTS);
+        best_candidates(&blocks, lags_s, (MAX_CANDIDATES, MAX_ARMS), shares)
     }
 
     /// Blocks of all arms, or the known joints.
