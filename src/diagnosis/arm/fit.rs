@@ -14,7 +14,7 @@ use crate::selection::link_deviations::{
     LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations, zero_instead_of_frame,
 };
 use crate::selection::model_selection::{
-    CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, or_without_causes,
+    CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, or_without_causes, parameter_count,
     select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{
@@ -91,9 +91,7 @@ pub(super) fn fit(
     observations: &[&PoseObservations],
     corrected: &CorrectedJoints,
 ) -> Option<ArmFit> {
-    if decoded.is_empty() {
-        return None;
-    }
+    let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     let with_offsets = !corrected.is_derived;
     FULL_FITS.fetch_add(1, Ordering::Relaxed);
     let fit_with = |may_confound_frames: bool| {
@@ -101,7 +99,7 @@ pub(super) fn fit(
             may_confound_frames,
             ..candidate_causes(decoded, corrected)
         };
-        let start = common_start(decoded, corrected, &candidates);
+        let start = common_start(decoded, corrected, &candidates, largest_stream);
         let candidates = candidates(decoded);
         let model = match start {
             Start::Final(model) => *model,
@@ -133,12 +131,13 @@ pub(super) fn fit(
     let plain: Vec<StreamState> = (0..observations.len())
         .map(|s| with_significant_causes(&model, (observations[s], s), &large_offsets))
         .collect();
-    let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
     let is_open = with_offsets && has_links && allows_link_deviations(&model);
     let (largest, largest_plain) = (observations[largest_stream], &plain[largest_stream]);
-    let estimated = || estimate_link_deviations(largest, largest_plain, &large_offsets);
-    let deviations = is_open.then(estimated).flatten();
+    let deviations = match is_open {
+        true => estimate_link_deviations(largest, largest_plain, &large_offsets),
+        false => None,
+    };
     let with_zeros = deviations.as_ref().map(|it| it.with_zeros(&large_offsets));
     let offsets = with_zeros.unwrap_or(large_offsets);
     let is_retained = |cause: &Cause| match *cause {
@@ -148,8 +147,9 @@ pub(super) fn fit(
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
-    let dropped = model.causes.iter().filter(|cause| !is_retained(cause));
-    let dropped: usize = dropped.map(|cause| cause.parameters(&model.state).len()).sum();
+    let mut dropped = model.causes.clone();
+    dropped.retain(|cause| !is_retained(cause));
+    let dropped = parameter_count(&dropped, &model.state);
     let is_of_calibrated = |s: usize| {
         let selected = observations[s].at(&model.state.streams[s], &model.state.offsets);
         is_nominal(observations[s].at(&plain[s], &offsets), selected, dropped)
@@ -199,7 +199,7 @@ fn prefer_zeros(
         let others: Vec<Cause> =
             model.causes.iter().copied().filter(|cause| *cause != frame).collect();
         let mut without =
-            State { offsets: large_offsets.to_vec(), ..exact_state(&model, &candidates) };
+            State { offsets: large_offsets.to_vec(), ..model.exact_state(&candidates) };
         frame.remove_from(&mut without);
         without.streams.iter_mut().for_each(|stream| stream.radial_scale = 0.0);
         let zeros = candidates.optional.iter().copied().filter(|cause| {
@@ -224,24 +224,8 @@ fn prefer_zeros(
 
 impl ArmFit {
     pub fn exact_state(&self) -> State {
-        exact_state(&self.model, &self.candidates)
+        self.model.exact_state(&self.candidates)
     }
-}
-
-/// The state, with frames that are no cause exactly the identity.
-fn exact_state(model: &SelectedModel, candidates: &CandidateCauses) -> State {
-    let is_cause =
-        |cause: Cause| model.causes.contains(&cause) || candidates.always.contains(&cause);
-    let mut state = model.state.clone();
-    for (s, stream) in state.streams.iter_mut().enumerate() {
-        if !is_cause(Cause::Reference(s)) && stream.round_reference.is_none() {
-            stream.reference = Pose::identity();
-        }
-        if !is_cause(Cause::Tool(s)) && stream.round_tool.is_none() {
-            stream.tool = Pose::identity();
-        }
-    }
-    state
 }
 
 /// Drops causes that usual link deviations imitate in stream `s`, if a nominal model explains the residual.
@@ -422,6 +406,7 @@ fn common_start(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
     candidates: &dyn Fn(&[&DecodedStream]) -> CandidateCauses,
+    largest_stream: usize,
 ) -> Start {
     let start = |stream: &DecodedStream| best_start(stream, corrected, &candidates(&[stream]));
     if let [only] = decoded {
@@ -433,8 +418,6 @@ fn common_start(
     };
     let single_stream: Vec<State> = decoded.iter().map(state).collect();
     // The streams share the joints: start from the stream with most samples.
-    let largest_stream =
-        (0..decoded.len()).max_by_key(|&s| decoded[s].observations.len()).unwrap_or(0);
     Start::At(State {
         offsets: single_stream[largest_stream].offsets.clone(),
         streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),

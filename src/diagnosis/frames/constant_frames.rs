@@ -2,12 +2,14 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
+use crate::model::jacobian::pose_change;
 use crate::model::measurement::{
     PoseObservations, StreamAt, StreamState, pose_of_twist, stacked, twist_of,
 };
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::noise::rms;
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
     Axes, Pose, Rotation, Vec3, angle_between, mean_vector, pose, rotation_by_wahba,
@@ -56,24 +58,27 @@ pub(crate) fn starting_states(
     let reference_only = reference_frame(&fk, &logged);
     let tool_only = tool_frame(&fk, &logged);
     let first_joint = observations.chain.first_joint_frame();
-    starts.push(with(identity, tool_only));
-    starts.push(with(reference_only, identity));
-    starts.push(with(reference, tool));
+    starts.extend([
+        with(identity, tool_only),
+        with(reference_only, identity),
+        with(reference, tool),
+    ]);
     let with_round =
         |round: Pose, tool: Pose| StreamState { round_reference: Some(round), ..with(round, tool) };
     let tool_after =
         |round: &Pose| tool_frame(&fk.iter().map(|fk| round * fk).collect::<Vec<Pose>>(), &logged);
     if let Some(round) = round_frame_error(&reference_only, &first_joint) {
-        starts.push(with_round(round, tool_after(&round)));
-        starts.push(with_round(round, identity));
+        starts.extend([tool_after(&round), identity].map(|tool| with_round(round, tool)));
     }
     if let Some(round) = round_frame_error(&reference, &first_joint) {
         starts.push(with_round(round, tool_after(&round)));
     }
     if let Some(round) = round_rotation(&tool_only.rotation) {
         let shifted = pose(tool_only.translation.vector.into(), round.rotation);
-        starts.push(StreamState { round_tool: Some(round), ..with(identity, round) });
-        starts.push(StreamState { round_tool: Some(round), ..with(identity, shifted) });
+        starts.extend(
+            [round, shifted]
+                .map(|tool| StreamState { round_tool: Some(round), ..with(identity, tool) }),
+        );
     }
     starts
 }
@@ -175,13 +180,13 @@ pub(crate) fn misfit_in_frames(
     logged: &[Pose],
     (reference, tool): &(Pose, Pose),
 ) -> [f64; 2] {
-    let (mut squares_m, mut squares_rad) = (0.0, 0.0);
-    for (fk, logged) in fk.iter().zip(logged) {
-        let residual = (reference * fk * tool).inverse() * logged;
-        squares_m += residual.translation.vector.norm_squared();
-        squares_rad += residual.rotation.angle().powi(2);
-    }
-    [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
+    let residual = |(fk, logged): (&Pose, &Pose)| {
+        let [position, rotation] = pose_change(&(reference * fk * tool), logged);
+        (position, rotation)
+    };
+    let (positions, rotations): (Vec<Vec3>, Vec<Vec3>) =
+        fk.iter().zip(logged).map(residual).unzip();
+    [rms(&positions), rms(&rotations)]
 }
 
 /// Same for a stream at its latency with joint offsets.

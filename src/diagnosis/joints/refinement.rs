@@ -23,6 +23,8 @@ pub(super) struct JointProposal {
 pub(super) struct RefinedProposal {
     pub map: JointMap,
     pub residual: ResidualSize,
+    /// The residual as one length.
+    pub total_m: f64,
     /// Number of causes, including a rotated tool and joints beyond the model's limits.
     pub price: f64,
 }
@@ -73,7 +75,8 @@ impl JointProposal {
         let price = self.price
             + if has_rotated_tool { TOOL_ROTATION_PRICE } else { 0.0 }
             + BEYOND_LIMIT_PRICE * beyond_limits;
-        RefinedProposal { map, residual, price }
+        let total_m = residual.combined_m(view.lever_m);
+        RefinedProposal { map, residual, total_m, price }
     }
 }
 

@@ -129,14 +129,12 @@ fn refine_and_select(
     freedom: FreeFrames,
     max_residual: ResidualSize,
 ) -> SearchOutcome {
-    let together = |polished: &RefinedProposal| polished.residual.combined_m(view.lever_m);
     let thin = view.thinned(ROUGH_SAMPLES);
     let mut rough: Vec<(f64, JointProposal)> = proposals
         .into_par_iter()
         .map(|proposal| {
-            let RefinedProposal { map, residual: left, .. } =
-                proposal.refine(&thin, freedom, ROUGH_STEPS);
-            (left.combined_m(view.lever_m), JointProposal { map, ..proposal })
+            let RefinedProposal { map, total_m, .. } = proposal.refine(&thin, freedom, ROUGH_STEPS);
+            (total_m, JointProposal { map, ..proposal })
         })
         .collect();
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -149,24 +147,23 @@ fn refine_and_select(
     rough.truncate(REFINED_PROPOSALS);
     let polished = rough.into_par_iter().map(|(_, one)| one.refine(view, freedom, MAX_STEPS));
     let polished: Vec<RefinedProposal> = polished.collect();
-    let min_residual = polished.iter().map(together).fold(f64::INFINITY, f64::min);
+    let min_residual = polished.iter().map(|one| one.total_m).fold(f64::INFINITY, f64::min);
     let max_equivalent = (MAX_COMPETITOR_RATIO * min_residual).max(MAX_MODEL_RESIDUAL_M);
     let equivalent = polished
         .iter()
-        .filter(|one| is_within(&one.residual, max_residual) && together(one) <= max_equivalent);
-    let Some(best) = equivalent
-        .min_by(|a, b| a.price.total_cmp(&b.price).then(together(a).total_cmp(&together(b))))
+        .filter(|one| is_within(&one.residual, max_residual) && one.total_m <= max_equivalent);
+    let Some(best) =
+        equivalent.min_by(|a, b| a.price.total_cmp(&b.price).then(a.total_m.total_cmp(&b.total_m)))
     else {
         return SearchOutcome::Nothing;
     };
     let others = polished.iter().filter(|other| {
         other.price <= best.price && !gives_same_positions(view, &other.map, &best.map)
     });
-    let runner_up = others.min_by(|a, b| together(a).total_cmp(&together(b)));
-    if runner_up.is_some_and(|other| {
-        together(other) < MIN_RESIDUAL_RATIO * together(best).max(RESIDUAL_FLOOR_M)
-    }) {
-        return SearchOutcome::Ambiguous(together(best));
+    let runner_up = others.min_by(|a, b| a.total_m.total_cmp(&b.total_m));
+    let min_runner_up_m = MIN_RESIDUAL_RATIO * best.total_m.max(RESIDUAL_FLOOR_M);
+    if runner_up.is_some_and(|other| other.total_m < min_runner_up_m) {
+        return SearchOutcome::Ambiguous(best.total_m);
     }
     let runner_up_m = runner_up.map(|other| other.residual.m);
     SearchOutcome::Found(JointInterpretation {

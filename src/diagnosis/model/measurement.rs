@@ -3,7 +3,7 @@
 //! Perturbations of `reference` multiply on the left, those of `tool` on the right. Residuals are in the
 //! reference frame: position in m, and the rotation vector of `logged · predicted⁻¹` in rad.
 
-use super::jacobian::{Derivative, PoseJacobian};
+use super::jacobian::{Derivative, PoseJacobian, pose_change};
 use super::moving_frame::MovingFrame;
 use crate::FrameCorrection;
 use crate::solver::linear::Linear;
@@ -376,9 +376,8 @@ impl PoseObservations<'_> {
 
     /// Logged minus predicted: m, rotation vector in rad.
     pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
-        let position = self.xyz[k] - predicted.translation.vector;
-        let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
-        self.excluded.mask([position, rotation])
+        let logged = Pose::from_parts(self.xyz[k].into(), self.rotation[k]);
+        self.excluded.mask(pose_change(predicted, &logged))
     }
 }
 

@@ -78,6 +78,11 @@ fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
     parameters
 }
 
+/// Number of their parameters.
+pub(crate) fn parameter_count(causes: &[Cause], state: &State) -> usize {
+    causes.iter().map(|cause| cause.parameters(state).len()).sum()
+}
+
 /// Model linearised about a state, with its noise.
 pub(crate) struct Linearized {
     equations: SharedEquations,
@@ -321,8 +326,7 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
         if !set.is_empty() && is_collinear(linear, candidates, &causes, state) {
             return f64::INFINITY;
         }
-        let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
-        linear.cost(&parameters) + price * optional as f64
+        linear.cost(&parameters) + price * parameter_count(set, state) as f64
     };
     let mut best = ScoredSet { members: Vec::new(), score: score_of(&[]) };
     // Lower bound on the cost of any set.
@@ -330,8 +334,7 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
     let mut set = Vec::new();
     let depth = MAX_EXHAUSTIVE_CAUSES - usize::from(candidates.optional.len() > 16);
     subsets(&candidates.optional, depth, &mut set, &mut |set| {
-        let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
-        if min_cost + price * parameters as f64 >= best.score {
+        if min_cost + price * parameter_count(set, state) as f64 >= best.score {
             return;
         }
         let score = score_of(set);
@@ -580,6 +583,21 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
 }
 
 impl SelectedModel {
+    /// The state, with frames that are no cause exactly the identity.
+    pub fn exact_state(&self, candidates: &CandidateCauses) -> State {
+        let causes = candidates.free(&self.causes);
+        let mut state = self.state.clone();
+        for (s, stream) in state.streams.iter_mut().enumerate() {
+            if !causes.contains(&Cause::Reference(s)) && stream.round_reference.is_none() {
+                stream.reference = Pose::identity();
+            }
+            if !causes.contains(&Cause::Tool(s)) && stream.round_tool.is_none() {
+                stream.tool = Pose::identity();
+            }
+        }
+        state
+    }
+
     /// Noise per stream and residual kind (positions, rotations).
     pub fn noise(&self) -> Vec<Noise> {
         let weights = self.linear.streams().flat_map(Linear::weights);
@@ -607,8 +625,7 @@ impl SelectedModel {
     }
 
     fn price(&self) -> f64 {
-        let tuned: usize =
-            self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
+        let tuned = parameter_count(&self.causes, &self.state);
         let round = self.state.round_frames().flatten().count();
         // A round frame error (such as 90°) is likelier than an estimated one and costs less.
         price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
