@@ -1,6 +1,6 @@
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::model::measurement::{ExcludedComponents, PoseObservations, Prediction, StreamState};
-use crate::samples::sampling::as_rotations;
+use crate::samples::sampling::{FkSequence, as_rotations};
 use crate::selection::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, pose};
@@ -17,27 +17,16 @@ pub(super) fn align(
     let observations = &decoded.observations;
     let stream_state = &model.state.streams[index];
     let correction = stream_state.frame_correction();
-    let recorded_state = StreamState::default();
-    let as_recorded = PoseObservations {
-        joints: recorded,
-        gains: &[],
-        t_s: observations.t_s.clone(),
-        xyz: Vec::new(),
-        rotation: Vec::new(),
-        moving_frame: None,
-        ..*observations
-    };
-    let zero = vec![0.0; recorded.dof];
     let StreamState { latency_s, skew, .. } = *stream_state;
     let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
     let mut truths = observations.at(&truth_state, &model.state.offsets).predictor();
-    let mut recorded_fk = as_recorded.at(&recorded_state, &zero).predictor();
+    let mut recorded_fk = FkSequence::new(recorded, observations.chain, observations.columns);
     let mut aligned = AlignedSamples::default();
     let rotations = as_rotations(&stream.track.orientation);
     let mut source = 0;
     for k in 0..observations.len() {
         let (Some(Prediction { jacobian, q, .. }), Some(fk)) =
-            (truths.at(k), recorded_fk.pose_at(k))
+            (truths.at(k), recorded_fk.at(observations.t_s[k]))
         else {
             continue;
         };

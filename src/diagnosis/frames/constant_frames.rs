@@ -1,6 +1,6 @@
 //! Constant frame errors: initial guesses and estimates.
 
-use super::position_fit::FkColumns;
+use super::position_fit::PositionFit;
 use super::rotation_frames::mean_rotation;
 use crate::model::jacobian::pose_change;
 use crate::model::measurement::{
@@ -114,7 +114,7 @@ pub(crate) fn with_frames_from_positions(stream: StreamAt) -> StreamState {
 
 fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
-    let (reference, point) = FkColumns::from_poses(fk).fit_rigid_or_collinear(&xyz);
+    let (reference, point) = PositionFit { fk, xyz: &xyz }.fit_rigid_or_collinear();
     let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
     let turn = tool_frame(&turned, logged).rotation;
     (reference, pose(point.into(), turn))

@@ -5,6 +5,7 @@ use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{
     Pose, Rotation, Vec3, mean_vector, pose, rotation_by_wahba, rotation_from_rotvec,
 };
+use ground::stats::mean;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
@@ -12,115 +13,93 @@ pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
 /// Minimum ratio of the second direction to the first, to determine a rotation.
 const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
 
-/// FK poses at a stream's samples.
-pub(crate) struct FkColumns {
-    pub xyz: Vec<Vec3>,
-    pub rotation: Vec<Rotation>,
+/// Positions of a stream, and FK at its samples.
+#[derive(Clone, Copy)]
+pub(crate) struct PositionFit<'a> {
+    pub fk: &'a [Pose],
+    pub xyz: &'a [Vec3],
 }
 
-impl FkColumns {
-    /// Columns of `poses`.
-    pub fn from_poses(poses: &[Pose]) -> Self {
-        let (xyz, rotation) =
-            poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
-        Self { xyz, rotation }
-    }
-
+impl PositionFit<'_> {
     /// Rms of `xyz − fk − R·t` at the best tool offset `t`.
-    pub fn tool_misfit(&self, xyz: &[Vec3]) -> f64 {
-        self.misfit_at(xyz, &Pose::identity())
+    pub fn tool_misfit(self) -> f64 {
+        self.misfit_at(&Pose::identity())
     }
 
     /// Smallest rms over a tool offset, with or without a rigid reference, in the unit of `xyz`.
-    pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
-        let plain = self.tool_misfit(xyz);
-        self.fit_rigid(xyz)
-            .map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
+    pub fn misfit(self) -> f64 {
+        let plain = self.tool_misfit();
+        self.fit_rigid().map_or(plain, |(reference, _)| plain.min(self.misfit_at(&reference)))
     }
 
-    /// Like [`FkColumns::fit_rigid`]. The rotation about collinear positions is arbitrary.
-    pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
-        self.fit_rigid(xyz).unwrap_or_else(|| {
-            let turn = rotation_by_wahba(&products(&self.xyz, xyz));
-            let reference = pose((mean_vector(xyz) - turn * mean_vector(&self.xyz)).into(), turn);
-            (reference, self.tool(xyz, &reference))
+    /// Like [`PositionFit::fit_rigid`]. The rotation about collinear positions is arbitrary.
+    pub fn fit_rigid_or_collinear(self) -> (Pose, Vec3) {
+        self.fit_rigid().unwrap_or_else(|| {
+            let fk = self.fk_positions();
+            let turn = rotation_by_wahba(&products(&fk, self.xyz));
+            let reference = pose((mean_vector(self.xyz) - turn * mean_vector(&fk)).into(), turn);
+            (reference, self.tool(&reference))
         })
     }
 
     /// Reference and tool offset with the smallest misfit, after at most `turns` iterations; 0 fits the
     /// tool only.
-    pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
-        let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
-        let found = if turns > 0 { self.fit_rigid_iterations(xyz, turns) } else { None };
-        match found {
-            Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
-            _ => plain,
-        }
+    pub fn frames(self, turns: usize) -> (Pose, Vec3) {
+        let found = if turns > 0 { self.fit_rigid_iterations(turns) } else { None };
+        found
+            .filter(|(reference, _)| self.misfit_at(reference) < self.tool_misfit())
+            .unwrap_or_else(|| (Pose::identity(), self.tool(&Pose::identity())))
+    }
+
+    fn fk_positions(self) -> Vec<Vec3> {
+        self.fk.iter().map(|fk| fk.translation.vector).collect()
     }
 
     /// Rms of `reference⁻¹·xyz − fk − R·t` at the best `t`.
-    fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
-        let tool = self.tool(xyz, reference);
-        let residuals = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
-        (residuals.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
+    fn misfit_at(self, reference: &Pose) -> f64 {
+        let tool = self.tool(reference);
+        mean(self.offsets(reference).map(|offset| (offset - tool).norm_squared())).sqrt()
     }
 
     /// Offsets from FK, in the tool frame.
-    fn offsets(&self, xyz: &[Vec3], reference: &Pose) -> impl Iterator<Item = Vec3> {
+    fn offsets(&self, reference: &Pose) -> impl Iterator<Item = Vec3> {
         let to_base = reference.inverse();
-        let samples = xyz.iter().zip(self.xyz.iter().zip(&self.rotation));
-        samples.map(move |(p, (fk, rotation))| {
-            rotation.inverse() * ((to_base * nalgebra::Point3::from(*p)).coords - fk)
+        self.fk.iter().zip(self.xyz).map(move |(fk, xyz)| {
+            let in_base = (to_base * nalgebra::Point3::from(*xyz)).coords;
+            fk.rotation.inverse() * (in_base - fk.translation.vector)
         })
     }
 
-    fn tool(&self, xyz: &[Vec3], reference: &Pose) -> Vec3 {
-        mean_vector(self.offsets(xyz, reference))
+    fn tool(self, reference: &Pose) -> Vec3 {
+        mean_vector(self.offsets(reference))
     }
 
     /// Reference and tool offset with the smallest misfit, from the reference of Kabsch (1976) without a tool.
     /// `None` if positions are collinear.
-    pub fn fit_rigid(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
-        self.fit_rigid_iterations(xyz, 30)
+    pub fn fit_rigid(self) -> Option<(Pose, Vec3)> {
+        self.fit_rigid_iterations(30)
     }
 
     /// The prior on the tool's length is as large as the residual allows: a wrong model would fit with a tool of
     /// several metres.
-    fn fit_rigid_iterations(&self, xyz: &[Vec3], steps: usize) -> Option<(Pose, Vec3)> {
+    fn fit_rigid_iterations(self, steps: usize) -> Option<(Pose, Vec3)> {
         const MIN_GAIN: f64 = 1e-9;
-        let start = (rotation_by_wahba(&correlation(&self.xyz, xyz)?), Vec3::zeros());
+        let correlation = correlation(&self.fk_positions(), self.xyz)?;
+        let start = (rotation_by_wahba(&correlation), Vec3::zeros());
         let limits = Limits { steps, min_gain: MIN_GAIN };
-        let fit = PositionFit { fk: self, xyz };
-        let (_, (rotation, tool)) = minimize(&fit, start, limits)?;
-        Some((pose(fit.sums(&rotation, &tool).origin.into(), rotation), tool))
+        let (_, (rotation, tool)) = minimize(&self, start, limits)?;
+        Some((pose(self.sums(&rotation, &tool).origin.into(), rotation), tool))
     }
-}
 
-/// Rotation and tool offset between FK and positions, at the best origin.
-struct PositionFit<'a> {
-    fk: &'a FkColumns,
-    xyz: &'a [Vec3],
-}
-
-struct Sums {
-    /// `AᵀA` and `Aᵀr` about the mean.
-    products: Matrix6<f64>,
-    weighted: Vector6<f64>,
-    origin: Vec3,
-    squares: f64,
-}
-
-impl PositionFit<'_> {
     /// Residuals `xyz − rotation·(fk + R·tool) − origin` with their derivatives by a small turn of `rotation` and by
     /// `tool`.
-    fn sums(&self, rotation: &Rotation, tool: &Vec3) -> Sums {
+    fn sums(self, rotation: &Rotation, tool: &Vec3) -> Sums {
         let reference = rotation.to_rotation_matrix();
         let (mut products, mut weighted) = (Matrix6::zeros(), Vector6::zeros());
         let (mut columns, mut sum, mut squares) = (Matrix3x6::zeros(), Vec3::zeros(), 0.0);
-        let FkColumns { xyz, rotation } = self.fk;
-        for (logged, (fk, rotation)) in self.xyz.iter().zip(xyz.iter().zip(rotation)) {
-            let turned = reference * rotation.to_rotation_matrix();
-            let point = reference * fk + turned * tool;
+        for (logged, fk) in self.xyz.iter().zip(self.fk) {
+            let turned = reference * fk.rotation.to_rotation_matrix();
+            let point = reference * fk.translation.vector + turned * tool;
             let mut own = Matrix3x6::zeros();
             own.fixed_view_mut::<3, 3>(0, 0).copy_from(&-point.cross_matrix());
             own.fixed_view_mut::<3, 3>(0, 3).copy_from(turned.matrix());
@@ -140,6 +119,15 @@ impl PositionFit<'_> {
             squares: squares - n * origin.norm_squared(),
         }
     }
+}
+
+/// Least squares at the best origin.
+struct Sums {
+    /// `AᵀA` and `Aᵀr` about the mean.
+    products: Matrix6<f64>,
+    weighted: Vector6<f64>,
+    origin: Vec3,
+    squares: f64,
 }
 
 impl LeastSquares for PositionFit<'_> {
@@ -183,17 +171,16 @@ fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
 /// `None` if collinear.
 fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
     let correlation = products(from, to);
-    let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
-    singular.sort_by(|a, b| b.total_cmp(a));
+    // In descending order.
+    let singular = correlation.singular_values();
     (singular[1] > MIN_SECOND_SPREAD_SHARE * MIN_SECOND_SPREAD_SHARE * singular[0])
         .then_some(correlation)
 }
 
 /// Rms distance from the mean.
 pub(crate) fn spread(points: &[Vec3]) -> f64 {
-    let mean = mean_vector(points);
-    let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
-    (squares / points.len().max(1) as f64).sqrt()
+    let centre = mean_vector(points);
+    mean(points.iter().map(|point| (point - centre).norm_squared())).sqrt()
 }
 
 #[cfg(test)]
@@ -201,15 +188,14 @@ mod tests {
     use super::*;
     use ground::geometry::{angle_between, rotation_from_rotvec};
 
-    fn arm() -> FkColumns {
-        let poses: Vec<Pose> = (0..40)
+    fn arm() -> Vec<Pose> {
+        (0..40)
             .map(|i| {
                 let t = f64::from(i) * 0.2;
                 let turn = rotation_from_rotvec(Vec3::new(t.sin(), (0.7 * t).cos(), 0.5 * t.cos()));
                 pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
             })
-            .collect();
-        FkColumns::from_poses(&poses)
+            .collect()
     }
 
     #[test]
@@ -217,37 +203,39 @@ mod tests {
         let arm = arm();
         let reference = pose([0.2, -0.1, 0.4], rotation_from_rotvec(Vec3::new(0.0, 0.0, 3.1)));
         let tool = Vec3::new(0.02, 0.0, 0.14);
-        let samples = arm.xyz.iter().zip(&arm.rotation);
-        let xyz: Vec<Vec3> = samples
-            .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
-            .collect();
-        let (found, offset) = arm.fit_rigid(&xyz).expect("a reference");
+        let point = |fk: &Pose| (reference * fk * nalgebra::Point3::from(tool)).coords;
+        let xyz: Vec<Vec3> = arm.iter().map(point).collect();
+        let fit = PositionFit { fk: &arm, xyz: &xyz };
+        let (found, offset) = fit.fit_rigid().expect("a reference");
         assert!(angle_between(&found.rotation, &reference.rotation) < 1e-6);
         assert!((found.translation.vector - reference.translation.vector).norm() < 1e-6);
         assert!((offset - tool).norm() < 1e-6);
-        assert!(arm.misfit(&xyz) < 1e-6);
+        assert!(fit.misfit() < 1e-6);
     }
 
     /// The height of the tool and of the reference are then one unknown.
     #[test]
     fn a_hand_that_turns_about_one_axis_still_fits_and_needs_no_long_tool() {
-        let arm = arm();
-        let vertical = |k: usize| rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.1 * k as f64));
-        let rotation: Vec<Rotation> = (0..arm.xyz.len()).map(vertical).collect();
-        let arm = FkColumns { rotation, ..arm };
+        let mut arm = arm();
+        for (k, fk) in arm.iter_mut().enumerate() {
+            fk.rotation = rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.1 * k as f64));
+        }
         let tool = Vec3::new(0.06, -0.03, 0.2);
-        let both = arm.xyz.iter().zip(&arm.rotation);
-        let xyz: Vec<Vec3> = both.map(|(fk, rotation)| fk + rotation * tool).collect();
-        let (_, found) = arm.fit_rigid(&xyz).expect("a reference");
+        let xyz: Vec<Vec3> =
+            arm.iter().map(|fk| fk.translation.vector + fk.rotation * tool).collect();
+        let fit = PositionFit { fk: &arm, xyz: &xyz };
+        let (_, found) = fit.fit_rigid().expect("a reference");
         assert!((found - tool).xy().norm() < 1e-6, "{found}");
         assert!(found.z.abs() < 0.5, "{found}");
-        assert!(arm.misfit(&xyz) < 1e-6);
+        assert!(fit.misfit() < 1e-6);
     }
 
     #[test]
     fn positions_of_another_arm_have_no_reference() {
         let arm = arm();
-        let xyz: Vec<Vec3> = arm.xyz.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
-        assert!(arm.misfit(&xyz) > MAX_POSITION_RESIDUAL_SHARE * spread(&arm.xyz));
+        let at: Vec<Vec3> = arm.iter().map(|fk| fk.translation.vector).collect();
+        let xyz: Vec<Vec3> = at.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
+        let fit = PositionFit { fk: &arm, xyz: &xyz };
+        assert!(fit.misfit() > MAX_POSITION_RESIDUAL_SHARE * spread(&at));
     }
 }

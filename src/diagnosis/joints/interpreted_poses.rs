@@ -2,7 +2,7 @@
 
 use super::map::{JointMap, scaled};
 use crate::frames::constant_frames::{initial_frames, tool_frame};
-use crate::frames::position_fit::FkColumns;
+use crate::frames::position_fit::PositionFit;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 use std::ops::Range;
@@ -141,16 +141,20 @@ impl<'a> InterpretedPoses<'a> {
         poses
     }
 
-    /// FK with revolute joints in `unit`, rad.
-    pub fn fk_in_unit(&self, unit: f64) -> FkColumns {
-        FkColumns::from_poses(&self.fk(&scaled(self.chain, unit, 1.0)))
+    /// Positions by FK with revolute joints in `unit`, rad.
+    pub fn fk_positions(&self, unit: f64) -> Vec<Vec3> {
+        let fk = self.fk(&scaled(self.chain, unit, 1.0));
+        fk.iter().map(|pose| pose.translation.vector).collect()
     }
 
-    /// The smaller `misfit` of the positions of the poses and of their inverses against FK as logged.
-    pub fn least_misfit(&self, misfit: fn(&FkColumns, &[Vec3]) -> f64) -> f64 {
-        let fk = self.fk_in_unit(1.0);
-        let inverted = self.inverted().map_or(f64::INFINITY, |inverted| misfit(&fk, &inverted.xyz));
-        misfit(&fk, &self.xyz).min(inverted)
+    /// The smaller position residual of the poses and of their inverses against FK as logged, rms m.
+    pub fn least_misfit(&self, freedom: FreeFrames) -> f64 {
+        let fk = &self.fk(&self.as_logged());
+        let of = |poses: &Self| {
+            let fit = PositionFit { fk, xyz: &poses.xyz };
+            if freedom == FreeFrames::Both { fit.misfit() } else { fit.tool_misfit() }
+        };
+        of(self).min(self.inverted().map_or(f64::INFINITY, |inverted| of(&inverted)))
     }
 
     fn logged(&self) -> Option<Vec<Pose>> {
@@ -168,9 +172,8 @@ impl<'a> InterpretedPoses<'a> {
 
     /// Frames with the smallest residual.
     pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
-        let expected = FkColumns::from_poses(fk);
         let by_positions = |turns: usize| {
-            let (reference, tool) = expected.frames(&self.xyz, turns);
+            let (reference, tool) = PositionFit { fk, xyz: &self.xyz }.frames(turns);
             ConstantFrames { reference, tool: pose(tool.into(), Rotation::identity()) }
         };
         let Some(logged) = self.logged() else {

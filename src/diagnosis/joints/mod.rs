@@ -11,7 +11,7 @@ mod single_joint;
 mod slow_samples;
 
 use self::slow_samples::{JOINT_ENCODING_SAMPLES, rms_speeds, slow_simultaneous_samples};
-use crate::frames::position_fit::{FkColumns, spread};
+use crate::frames::position_fit::spread;
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::measurement::PoseObservations;
 use crate::samples::sampling::{check_sample_count, value_range};
@@ -79,9 +79,9 @@ pub(super) fn estimate_joint_encoding(
             return Err(NotObservable::NotExcited);
         }
         extent = spread_m.max(0.01).min(extent);
-        let misfit_m = samples.least_misfit(FkColumns::misfit);
+        let misfit_m = samples.least_misfit(FreeFrames::Both);
         if misfit_m <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m(spread_m))
-            || samples.least_misfit(FkColumns::tool_misfit) <= MAX_LOGGED_RESIDUAL_SHARE * extent
+            || samples.least_misfit(FreeFrames::Tool) <= MAX_LOGGED_RESIDUAL_SHARE * extent
         {
             return Ok(JointEncoding::default());
         }
@@ -176,7 +176,7 @@ pub(super) fn other_encoding(
     // If only rotations are wrong, positions must not get worse.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD)
         && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
-    let stay_m = if turns_only { 1.2 * samples.least_misfit(FkColumns::tool_misfit) } else { 0.0 };
+    let stay_m = if turns_only { 1.2 * samples.least_misfit(FreeFrames::Tool) } else { 0.0 };
     let better_m = (as_logged.m / MIN_RESIDUAL_RATIO).max(2e-4).max(stay_m);
     let extent_m = spread(&samples.xyz).max(0.01);
     let max_residual = ResidualSize {
@@ -278,7 +278,7 @@ pub(super) fn likely_encodings(
     if samples.len() < 6 {
         return Vec::new();
     }
-    let as_logged_m = samples.least_misfit(FkColumns::misfit);
+    let as_logged_m = samples.least_misfit(FreeFrames::Both);
     let mut likely = Vec::new();
     for view in samples.views().into_iter().chain([samples.mirrored()]) {
         for (map, by_range) in search::likely_maps(&view) {
@@ -398,7 +398,7 @@ const UNITS: [f64; 2] = [1.0, std::f64::consts::PI / 180.0];
 
 /// Neither stream nor FK move the tip, in radians or degrees.
 fn is_at_rest(samples: &InterpretedPoses) -> bool {
-    let in_units = UNITS.map(|unit| samples.fk_in_unit(unit).xyz);
+    let in_units = UNITS.map(|unit| samples.fk_positions(unit));
     in_units.iter().chain([&samples.xyz]).all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
 }
 
@@ -409,7 +409,7 @@ fn encoding_at_rest(
     reference_known: bool,
 ) -> EstimateResult<JointEncoding> {
     let [as_logged, corrected] = UNITS.map(|unit| {
-        let fk = samples.fk_in_unit(unit).xyz;
+        let fk = samples.fk_positions(unit);
         let squares = fk.iter().zip(&samples.xyz).map(|(fk, xyz)| (fk - xyz).norm_squared());
         mean(squares).sqrt()
     });
@@ -470,7 +470,7 @@ pub(super) fn follows_arm(
 ) -> bool {
     let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
     samples.len() >= 6
-        && samples.least_misfit(FkColumns::misfit)
+        && samples.least_misfit(FreeFrames::Both)
             < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&samples.xyz)
 }
 

@@ -1,7 +1,7 @@
 //! Fits competing models to the positions of a stream, without a search over causes.
 
 use crate::PoseStream;
-use crate::frames::position_fit::FkColumns;
+use crate::frames::position_fit::PositionFit;
 use crate::samples::sampling::{as_rotations, slow_samples};
 use ground::geometry::{Pose, Vec3};
 use ground::stream::JointTrack;
@@ -38,9 +38,8 @@ fn misfits_m(
 ) -> Option<(f64, f64)> {
     let SlowPositions { xyz, inverse_xyz, fk, .. } =
         SlowPositions::new(joints, stream, scale, latency_s)?;
-    let expected = FkColumns::from_poses(&fk);
-    let inverted = inverse_xyz.map_or(f64::INFINITY, |xyz| expected.misfit(&xyz));
-    Some((expected.misfit(&xyz), inverted))
+    let misfit = |xyz: Vec<Vec3>| PositionFit { fk: &fk, xyz: &xyz }.misfit();
+    Some((misfit(xyz), inverse_xyz.map_or(f64::INFINITY, misfit)))
 }
 
 /// Positions of a stream while the arm moves slowly, with FK.

@@ -8,7 +8,7 @@
 use super::position_misfit::{MIN_SAMPLES, SlowPositions};
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
-use crate::frames::position_fit::FkColumns;
+use crate::frames::position_fit::PositionFit;
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
@@ -385,8 +385,8 @@ impl<'a> StreamWithFk<'a> {
         if !is_reference_free {
             return vec![self.initial_parameters()];
         }
-        let (rigid, _) =
-            FkColumns::from_poses(&self.samples.fk).fit_rigid_or_collinear(&self.samples.xyz);
+        let fit = PositionFit { fk: &self.samples.fk, xyz: &self.samples.xyz };
+        let (rigid, _) = fit.fit_rigid_or_collinear();
         let frames = [Pose::identity(), half_turn(), rigid];
         frames.map(|reference| self.with_reference(reference)).to_vec()
     }
