@@ -190,8 +190,6 @@ impl<'a> EncodedRun<'a> {
     /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
     /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
     fn or_standard(&self, result: EncodingResult) -> EncodingResult {
-        let is_otherwise_placed =
-            |stream: &PoseDiagnosis| stream.is_inverted || matches!(stream.axes, Ok(Some(_)));
         let are_otherwise_placed = result.streams.iter().any(is_otherwise_placed);
         let is_misread_slightly =
             |stream: &PoseDiagnosis| is_misread(stream) && may_be_as_logged(stream);
@@ -510,6 +508,10 @@ fn is_misread(stream: &PoseDiagnosis) -> bool {
     stream.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
 }
 
+fn is_otherwise_placed(stream: &PoseDiagnosis) -> bool {
+    stream.is_inverted || matches!(stream.axes, Ok(Some(_)))
+}
+
 /// Whether joints that are off may explain the rotations as logged.
 fn may_be_as_logged(stream: &PoseDiagnosis) -> bool {
     let as_logged_rad = stream.encoding.as_ref().ok().and_then(|encoding| encoding.as_logged_rad);
@@ -550,9 +552,8 @@ impl ArmDiagnosis {
             })
         };
         let has_other_encoding = |stream: &PoseDiagnosis| {
-            stream.is_inverted
+            is_otherwise_placed(stream)
                 || matches!(stream.length_unit, Ok(Some(_)))
-                || matches!(stream.axes, Ok(Some(_)))
                 || is_misread(stream)
         };
         let is_unsteady = |stream: &PoseDiagnosis| {

@@ -5,6 +5,7 @@ use crate::frames::constant_frames::{initial_frames, tool_frame};
 use crate::frames::position_fit::PositionFit;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
+use ground::stats::mean;
 use std::ops::Range;
 
 /// For a thinned and for a full view.
@@ -37,14 +38,6 @@ impl ResidualSize {
     pub fn combined_m(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
-}
-
-/// Between two samples of a stream.
-pub(super) struct Distance {
-    samples: [usize; 2],
-    m: f64,
-    /// If rotations are used.
-    rad: Option<f64>,
 }
 
 #[derive(Clone)]
@@ -157,9 +150,11 @@ impl<'a> InterpretedPoses<'a> {
         of(self).min(self.inverted().map_or(f64::INFINITY, |inverted| of(&inverted)))
     }
 
-    fn logged(&self) -> Option<Vec<Pose>> {
-        let rotation = self.rotation.as_ref()?;
-        Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
+    /// Poses as logged; without rotations, their rotations are the identity.
+    pub fn logged(&self) -> Vec<Pose> {
+        let rotation =
+            |k: usize| self.rotation.as_ref().map_or_else(Rotation::identity, |all| all[k]);
+        self.xyz.iter().enumerate().map(|(k, xyz)| pose((*xyz).into(), rotation(k))).collect()
     }
 
     /// Frames under `map` from which a search starts.
@@ -176,9 +171,10 @@ impl<'a> InterpretedPoses<'a> {
             let (reference, tool) = PositionFit { fk, xyz: &self.xyz }.frames(turns);
             ConstantFrames { reference, tool: pose(tool.into(), Rotation::identity()) }
         };
-        let Some(logged) = self.logged() else {
+        if self.rotation.is_none() {
             return by_positions(if freedom == FreeFrames::Both { self.turns } else { 0 });
-        };
+        }
+        let logged = self.logged();
         let tool = ConstantFrames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
         if freedom == FreeFrames::Tool {
             return tool;
@@ -213,32 +209,15 @@ impl<'a> InterpretedPoses<'a> {
         [self.xyz[k] - predicted.translation.vector, rotation]
     }
 
-    /// Distances and angles between some samples.
-    pub fn distances(&self) -> Vec<Distance> {
-        let n = self.len();
-        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| [k, (k + step) % n]));
-        let distance = |[a, b]: [usize; 2]| Distance {
-            samples: [a, b],
-            m: (self.xyz[a] - self.xyz[b]).norm(),
-            rad: self.rotation.as_ref().map(|rotation| angle_between(&rotation[a], &rotation[b])),
-        };
-        pairs.map(distance).collect()
-    }
-
     /// Frame-independent residual: distances and angles between samples, rms m. A tool offset changes them
-    /// slightly.
-    pub fn strain(&self, map: &JointMap, distances: &[Distance]) -> f64 {
-        let fk = self.fk(map);
-        let mut sum = 0.0;
-        for &Distance { samples: [a, b], m, rad } in distances {
-            let far = (fk[a].translation.vector - fk[b].translation.vector).norm();
-            sum += (far - m).powi(2);
-            if let Some(rad) = rad {
-                let angle = angle_between(&fk[a].rotation, &fk[b].rotation) - rad;
-                sum += (self.lever_m * angle).powi(2);
-            }
-        }
-        (sum / distances.len().max(1) as f64).sqrt()
+    /// slightly. `logged` are those of the logged poses.
+    pub fn strain(&self, map: &JointMap, logged: &[[f64; 2]]) -> f64 {
+        let lever_m = if self.rotation.is_some() { self.lever_m } else { 0.0 };
+        let distances = distances(&self.fk(map));
+        let squares = distances.iter().zip(logged).map(|(fk, logged)| {
+            (fk[0] - logged[0]).powi(2) + (lever_m * (fk[1] - logged[1])).powi(2)
+        });
+        mean(squares).sqrt()
     }
 
     /// Residual with the best frames.
@@ -251,4 +230,15 @@ impl<'a> InterpretedPoses<'a> {
     pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         self.fitted_residual(map, freedom).combined_m(self.lever_m)
     }
+}
+
+/// Distances, m, and angles, rad, between some poses.
+pub(super) fn distances(poses: &[Pose]) -> Vec<[f64; 2]> {
+    let n = poses.len();
+    let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (poses[k], poses[(k + step) % n])));
+    let distance = |(a, b): (Pose, Pose)| {
+        let distance_m = (a.translation.vector - b.translation.vector).norm();
+        [distance_m, angle_between(&a.rotation, &b.rotation)]
+    };
+    pairs.map(distance).collect()
 }

@@ -2,7 +2,9 @@
 //! the simplest first: another unit, reversed joints or one joint misinterpreted; another order;
 //! combinations of two. The best proposals of a kind are refined.
 
-use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
+use super::interpreted_poses::{
+    ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize, distances,
+};
 use super::map::{
     Coupling, JointMap, MAX_PERMUTED_JOINTS, candidate_orders, other_maps, unit_maps,
 };
@@ -206,8 +208,8 @@ fn best_proposals(
         };
     let screened = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
         true => {
-            let distances = thin.distances();
-            by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map, &distances))
+            let logged = distances(&thin.logged());
+            by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map, &logged))
         }
         false => proposals,
     };

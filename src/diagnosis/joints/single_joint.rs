@@ -52,7 +52,7 @@ impl SingleJoint {
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
         let (mut values, mut required) = (Vec::new(), Vec::new());
-        for (k, row) in view.q.chunks_exact(dof).enumerate() {
+        for (row, logged) in view.q.chunks_exact(dof).zip(view.logged()) {
             map.apply(row, &mut q);
             values.push(row[map.from[joint]]);
             let link = view.chain.forward_with_jacobian(&q, &mut columns);
@@ -61,8 +61,7 @@ impl SingleJoint {
             let predicted = pose_vectors(&jacobian.pose, lever_m);
             let [_, u, v, w] = predicted;
             let along = [velocity, axis.cross(&u), axis.cross(&v), axis.cross(&w)];
-            let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
-            let logged = pose_vectors(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
+            let logged = pose_vectors(&logged, lever_m);
             let off: [Vec3; 4] = std::array::from_fn(|i| logged[i] - predicted[i]);
             required.push(if slides {
                 [q[joint] + dot(&along, &off) / dot(&along, &along).max(1e-12), 0.0]
