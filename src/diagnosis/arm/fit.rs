@@ -99,12 +99,9 @@ pub(super) fn fit(
             may_confound_frames,
             ..candidate_causes(decoded, corrected)
         };
-        let start = common_start(decoded, corrected, &candidates, largest_stream);
+        let (start, model) = common_start(decoded, corrected, &candidates, largest_stream);
         let candidates = candidates(decoded);
-        let model = match start {
-            Start::Final(model) => *model,
-            Start::At(state) => select_model(observations, state, &candidates),
-        };
+        let model = model.unwrap_or_else(|| select_model(observations, start, &candidates));
         let model = or_without_causes(observations, model, &candidates);
         (model, candidates)
     };
@@ -394,42 +391,30 @@ fn candidate_causes(decoded: &[&DecodedStream], corrected: &CorrectedJoints) -> 
     CandidateCauses { always, optional, may_confound_frames: false }
 }
 
-/// Start of a fit.
-enum Start {
-    At(State),
-    /// Converged model of the same streams and samples.
-    Final(Box<SelectedModel>),
-}
-
-/// Best start of all streams.
+/// Best start of all streams, and the converged model of a single one.
 fn common_start(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
     candidates: &dyn Fn(&[&DecodedStream]) -> CandidateCauses,
     largest_stream: usize,
-) -> Start {
+) -> (State, Option<SelectedModel>) {
     let start = |stream: &DecodedStream| best_start(stream, corrected, &candidates(&[stream]));
     if let [only] = decoded {
         return start(only);
     }
-    let state = |stream: &&DecodedStream| match start(stream) {
-        Start::At(state) => state,
-        Start::Final(model) => model.state,
-    };
-    let single_stream: Vec<State> = decoded.iter().map(state).collect();
+    let single_stream: Vec<State> = decoded.iter().map(|stream| start(stream).0).collect();
     // The streams share the joints: start from the stream with most samples.
-    Start::At(State {
-        offsets: single_stream[largest_stream].offsets.clone(),
-        streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
-    })
+    let offsets = single_stream[largest_stream].offsets.clone();
+    let streams = single_stream.into_iter().flat_map(|state| state.streams).collect();
+    (State { offsets, streams }, None)
 }
 
-/// Best start of a single stream.
+/// Best start of a single stream, and its model if that converged on all samples.
 fn best_start(
     decoded: &DecodedStream,
     corrected: &CorrectedJoints,
     candidates: &CandidateCauses,
-) -> Start {
+) -> (State, Option<SelectedModel>) {
     /// Smaller lags lead to the same model as none.
     const MIN_LAG_PERIODS: f64 = 0.1;
     let best_lag = decoded.peaks.first().map_or(0.0, |peak| peak.correlation);
@@ -462,15 +447,13 @@ fn best_start(
     }
     let best = select_from_starts(&decoded.observations, starts, candidates);
     let Some(best) = best else {
-        return Start::At(start(&corrected.offsets, StreamState::default()));
+        return (start(&corrected.offsets, StreamState::default()), None);
     };
     if let Some(turned) = with_base_turned(&best.state, &decoded.observations) {
-        return Start::At(turned);
+        return (turned, None);
     }
-    match best.is_converged && decoded.observations.len() <= MAX_SEARCH_SAMPLES {
-        true => Start::Final(Box::new(best)),
-        false => Start::At(best.state),
-    }
+    let is_final = best.is_converged && decoded.observations.len() <= MAX_SEARCH_SAMPLES;
+    (best.state.clone(), is_final.then_some(best))
 }
 
 /// Quarter turns of the first joint's zero are equivalent to a base rotation, which differs between makers. `None` without
