@@ -130,11 +130,8 @@ pub(super) fn fit(
         .collect();
     let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
     let is_open = with_offsets && has_links && allows_link_deviations(&model);
-    let (largest, largest_plain) = (observations[largest_stream], &plain[largest_stream]);
-    let deviations = match is_open {
-        true => estimate_link_deviations(largest, largest_plain, &large_offsets),
-        false => None,
-    };
+    let largest = observations[largest_stream].at(&plain[largest_stream], &large_offsets);
+    let deviations = if is_open { estimate_link_deviations(largest) } else { None };
     let with_zeros = deviations.as_ref().map(|it| it.with_zeros(&large_offsets));
     let offsets = with_zeros.unwrap_or(large_offsets);
     let is_retained = |cause: &Cause| match *cause {
@@ -223,6 +220,11 @@ impl ArmFit {
     pub fn exact_state(&self) -> State {
         self.model.exact_state(&self.candidates)
     }
+
+    /// Whether the cause is selected or always free.
+    pub fn is_free(&self, cause: Cause) -> bool {
+        self.model.causes.contains(&cause) || self.candidates.always.contains(&cause)
+    }
 }
 
 /// Drops causes that usual link deviations imitate in stream `s`, if a nominal model explains the residual.
@@ -251,7 +253,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     };
     let candidates = candidates.retaining(is_retained);
     let start = without_causes(&imitated);
-    let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
+    let nominal = estimate_link_deviations(observations[s].at(&start.streams[s], &start.offsets));
     let model = select_model(observations, start, &candidates);
     match is_within_calibration(&model) {
         true => ArmFit { model, candidates, deviations: nominal, timings: Vec::new() },

@@ -36,7 +36,7 @@ use ground::geometry::{Convention, QuaternionOrderError};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use stream::{StreamFit, no_diagnosis};
-use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
+use zeros::{joint_gains, joint_offsets, unobservable_offsets};
 
 /// Whether the streams are compared with poses instead of joint states.
 pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
@@ -158,8 +158,7 @@ impl<'a> EncodedRun<'a> {
         };
         if has_zeros {
             result.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
-            result.scales = joint_scales(fitted, corrected);
-            result.couplings = joint_couplings(fitted, corrected);
+            (result.scales, result.couplings) = joint_gains(fitted, corrected);
         }
         let mut index = 0;
         for ((stream, position_encoding), decoded) in

@@ -146,7 +146,7 @@ pub(super) struct StreamFit<'a> {
 impl StreamFit<'_> {
     pub fn diagnose(&self) -> PoseDiagnosis {
         let Self { recorded, stream, position_encoding, decoded, fitted, index, .. } = *self;
-        let ArmFit { model, candidates, deviations, .. } = fitted;
+        let ArmFit { model, deviations, .. } = fitted;
         let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
         let is_chosen = |cause: Cause| model.causes.contains(&cause);
         let scale = Cause::RadialScale(index);
@@ -199,8 +199,7 @@ impl StreamFit<'_> {
         if !found.is_nominal {
             return found.without_overfitted_causes();
         }
-        let is_free = |cause: Cause| candidates.always.contains(&cause) || is_chosen(cause);
-        let free = [Cause::Reference(index), Cause::Tool(index)].map(is_free);
+        let free = [Cause::Reference(index), Cause::Tool(index)].map(|cause| fitted.is_free(cause));
         let [reference, tool] = frames_with_links(&found, stream.chain, free);
         PoseDiagnosis {
             reference: reference.map_or(found.reference, Ok),
@@ -213,9 +212,7 @@ impl StreamFit<'_> {
     /// The chosen causes and this one.
     fn causes_with(&self, cause: Cause) -> Vec<Cause> {
         let mut causes = self.fitted.model.causes.clone();
-        if !causes.contains(&cause) && !self.fitted.candidates.always.contains(&cause) {
-            causes.push(cause);
-        }
+        causes.extend((!self.fitted.is_free(cause)).then_some(cause));
         causes
     }
 

@@ -103,41 +103,29 @@ fn frame_of_end(decoded: &[&DecodedStream], column: usize, size: f64) -> Option<
     }
 }
 
-pub(super) fn joint_scales(fitted: &ArmFit, corrected: &CorrectedJoints) -> Vec<JointScale> {
+/// Refined scales and couplings.
+pub(super) fn joint_gains(
+    fitted: &ArmFit,
+    corrected: &CorrectedJoints,
+) -> (Vec<JointScale>, Vec<JointCoupling>) {
     let model = &fitted.model;
-    let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
-        if by != column {
-            return None;
+    let (mut scales, mut couplings) = (Vec::new(), Vec::new());
+    for (at, &(column, by)) in corrected.gains.iter().enumerate() {
+        let cause = Cause::JointScale(corrected.track.dof + at);
+        let Ok(gain) = measured(fitted, &model.causes, cause) else { continue };
+        let is_own = |own: &&JointCoupling| (own.column, own.by) == (column, by);
+        if column == by {
+            let encoded = corrected.factors[column];
+            let factor = Measured { value: 1.0 + gain.value, ..gain }.scaled(encoded);
+            let has_zero = fitted.is_free(Cause::Zero(column));
+            let offset = if has_zero { model.state.offsets[column] } else { 0.0 };
+            scales.push(JointScale { column, factor, offset });
+        } else if let Some(encoded) = corrected.couplings.iter().find(is_own) {
+            let factor = Measured { value: encoded.factor.value + gain.value, ..gain };
+            couplings.push(JointCoupling { column, by, factor });
         }
-        let encoded = corrected.factors[column];
-        let gain = gain(fitted, corrected, at)?;
-        let factor = Measured {
-            value: encoded * (1.0 + gain.value),
-            std_error: encoded.abs() * gain.std_error,
-            ..gain
-        };
-        let zero = Cause::Zero(column);
-        let has_zero = model.causes.contains(&zero) || fitted.candidates.always.contains(&zero);
-        let offset = if has_zero { model.state.offsets[column] } else { 0.0 };
-        Some(JointScale { column, factor, offset })
-    };
-    corrected.gains.iter().enumerate().filter_map(scale).collect()
-}
-
-pub(super) fn joint_couplings(fitted: &ArmFit, corrected: &CorrectedJoints) -> Vec<JointCoupling> {
-    let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
-        let encoded =
-            corrected.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
-        let gain = gain(fitted, corrected, at)?;
-        let factor = Measured { value: encoded.factor.value + gain.value, ..gain };
-        Some(JointCoupling { column, by, factor })
-    };
-    corrected.gains.iter().enumerate().filter_map(coupling).collect()
-}
-
-/// Entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
-fn gain(fitted: &ArmFit, corrected: &CorrectedJoints, at: usize) -> Option<Measured> {
-    measured(fitted, &fitted.model.causes, Cause::JointScale(corrected.track.dof + at)).ok()
+    }
+    (scales, couplings)
 }
 
 /// Largest distance of each joint's axis from the tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton

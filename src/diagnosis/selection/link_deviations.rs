@@ -81,12 +81,9 @@ impl LinkDeviations {
     }
 }
 
-/// Estimates the likeliest zeros and link deviations, linearised about `offsets`. `state` excludes causes
-/// that link deviations imitate.
+/// Estimates the likeliest zeros and link deviations. The state excludes causes that link deviations imitate.
 pub(crate) fn estimate_link_deviations(
-    observations: &PoseObservations,
-    state: &StreamState,
-    offsets: &[f64],
+    StreamAt { observations, state, offsets }: StreamAt,
 ) -> Option<LinkDeviations> {
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
