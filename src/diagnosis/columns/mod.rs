@@ -383,6 +383,7 @@ impl NumericTable {
         let chain = constraints.chains[arm];
         let dof = chain.dof();
         let orders = usual_orders(chain);
+        let are_few_arms = constraints.chains.len() <= MAX_ARMS_FOR_LAGS;
         let mut homes: Vec<usize> = self.homes.clone();
         homes.sort_unstable();
         homes.dedup();
@@ -401,17 +402,13 @@ impl NumericTable {
                     if joints.iter().any(|column| constraints.taken.contains(column)) {
                         continue;
                     }
-                    let most = self.max_abs(&joints);
-                    let units = JointValueUnit::compatible_with(
-                        most,
-                        constraints.chains.len() <= MAX_ARMS_FOR_LAGS,
-                    );
-                    let may_be = |unit: &JointValueUnit| {
-                        self.can_be_joints(&joints, *unit, chain, min_moving)
-                    };
-                    let units = units.into_iter().filter(may_be);
-                    let of = |unit| JointColumns { joints: joints.clone(), unit, arm };
-                    blocks.extend(units.map(of));
+                    let units =
+                        JointValueUnit::compatible_with(self.max_abs(&joints), are_few_arms);
+                    for unit in units {
+                        if self.can_be_joints(&joints, unit, chain, min_moving) {
+                            blocks.push(JointColumns { joints: joints.clone(), unit, arm });
+                        }
+                    }
                 }
             }
         }

@@ -125,7 +125,7 @@ pub(crate) fn errors_beside_links<const N: usize>(
     };
     sets.map(|causes| {
         let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        let fits = model.fits_by_size(&additional);
+        let (_, fits) = model.fits_by_size(&additional);
         let joints = observations.columns.len();
         // All links between have five columns.
         let frames = [(0, 0), (joints, 6 + 5 * joints.saturating_sub(1))].map(|(link, first)| {
@@ -460,19 +460,12 @@ impl DeviationModel {
 
     /// Twice the log-likelihood, averaged over the common size of the deviations.
     fn evidence(&self, additional: &AdditionalCauses) -> f64 {
-        let fits = self.fits_by_size(additional);
-        let log_likelihood = |(weight, fit): &(f64, DeviationFit)| {
-            // The average over a fit's posterior probability.
-            0.5 * (fit.evidence + Self::log_prior(fit.sizes_m[0])) - weight.ln()
-        };
-        fits.iter()
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .map_or(f64::NEG_INFINITY, |likeliest| 2.0 * log_likelihood(likeliest))
+        self.fits_by_size(additional).0
     }
 
     /// Twice the log-likelihood at the likeliest size of each link's deviations.
     fn evidence_of_unequal_links(&self, additional: &AdditionalCauses) -> f64 {
-        let by_size = self.fits_by_size(additional);
+        let (_, by_size) = self.fits_by_size(additional);
         let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         let likeliest =
             start.and_then(|(_, fit)| self.maximize_likelihood(additional, &fit.sizes_m));
@@ -481,8 +474,9 @@ impl DeviationModel {
         })
     }
 
-    /// One fit per size of the deviations, with the posterior probability of that size.
-    fn fits_by_size(&self, additional: &AdditionalCauses) -> Vec<(f64, DeviationFit)> {
+    /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
+    /// probability of that size.
+    fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
         let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(|size_m| {
             let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
             Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
@@ -492,7 +486,7 @@ impl DeviationModel {
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
         fits.iter_mut().for_each(|fit| fit.0 /= total);
-        fits
+        (2.0 * (likeliest + total.ln()), fits)
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
