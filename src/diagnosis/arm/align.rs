@@ -1,25 +1,18 @@
-use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::{ExcludedComponents, PoseObservations, Prediction, StreamState};
+use super::stream::StreamFit;
+use crate::AlignedSamples;
+use crate::model::measurement::{
+    ExcludedComponents, PoseObservations, Prediction, StreamAt, StreamState,
+};
 use crate::samples::sampling::{FkSequence, as_rotations};
-use crate::selection::model_selection::SelectedModel;
-use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, pose};
-use ground::stream::JointTrack;
 
 /// Before and after correcting the selected causes.
-pub(super) fn align(
-    recorded: &JointTrack,
-    stream: &PoseStream,
-    decoded: &DecodedStream,
-    model: &SelectedModel,
-    index: usize,
-) -> AlignedSamples {
-    let observations = &decoded.observations;
-    let stream_state = &model.state.streams[index];
-    let correction = stream_state.frame_correction();
-    let StreamState { latency_s, skew, .. } = *stream_state;
-    let truth_state = StreamState { skew, ..StreamState::at_latency(latency_s) };
-    let mut truths = observations.at(&truth_state, &model.state.offsets).predictor();
+pub(super) fn align(fit: &StreamFit) -> AlignedSamples {
+    let StreamFit { recorded, stream, .. } = fit;
+    let StreamAt { observations, state, offsets } = fit.at();
+    let correction = state.frame_correction();
+    let truth_state = without_frames(state);
+    let mut truths = observations.at(&truth_state, offsets).predictor();
     let mut recorded_fk = FkSequence::new(recorded, observations.chain, observations.columns);
     let mut aligned = AlignedSamples::default();
     let rotations = as_rotations(&stream.track.orientation);
@@ -57,17 +50,20 @@ pub(super) fn align(
 /// FK at the times of measurement of aligned samples whose stamps are later by `late_s`. `None` where joint states do not
 /// cover them.
 pub(super) fn fk_at_latency(
+    fit: &StreamFit,
     aligned: &AlignedSamples,
-    decoded: &DecodedStream,
-    model: &SelectedModel,
-    index: usize,
     late_s: &dyn Fn(f64) -> f64,
 ) -> Vec<Option<Pose>> {
-    let StreamState { latency_s, skew, .. } = model.state.streams[index];
-    let state = StreamState { skew, ..StreamState::at_latency(latency_s) };
+    let StreamAt { observations, state, offsets } = fit.at();
+    let state = without_frames(state);
     let t_s = aligned.t_s.iter().map(|t_s| t_s - late_s(*t_s)).collect();
     let observations =
-        PoseObservations { t_s, xyz: Vec::new(), rotation: Vec::new(), ..decoded.observations };
-    let mut predictor = observations.at(&state, &model.state.offsets).predictor();
+        PoseObservations { t_s, xyz: Vec::new(), rotation: Vec::new(), ..*observations };
+    let mut predictor = observations.at(&state, offsets).predictor();
     (0..aligned.t_s.len()).map(|row| predictor.pose_at(row)).collect()
+}
+
+/// Latency and skew alone.
+fn without_frames(state: &StreamState) -> StreamState {
+    StreamState { skew: state.skew, ..StreamState::at_latency(state.latency_s) }
 }

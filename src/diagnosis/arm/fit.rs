@@ -314,8 +314,7 @@ fn large_zeros(state: &State, corrected: &CorrectedJoints) -> Vec<f64> {
 }
 
 /// Keeps frames that are unknown, round, or too large for a calibration.
-pub(super) fn without_small_causes(model: &SelectedModel, stream: usize) -> StreamState {
-    let state = &model.state.streams[stream];
+pub(super) fn without_small_causes(state: &StreamState) -> StreamState {
     let unless_small =
         |frame: &Pose| if is_calibratable_frame(frame) { Pose::identity() } else { *frame };
     StreamState {
@@ -332,7 +331,7 @@ fn with_significant_causes(
     (observations, s): (&PoseObservations, usize),
     offsets: &[f64],
 ) -> StreamState {
-    let mut plain = without_small_causes(model, s);
+    let mut plain = without_small_causes(&model.state.streams[s]);
     let causes = small_causes(model, s);
     let is_zero = |cause: &Cause| matches!(cause, Cause::Zero(_));
     if causes.iter().all(is_zero) || observations.chain.is_floating() {

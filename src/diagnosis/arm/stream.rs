@@ -6,17 +6,18 @@ use super::confounders::{are_collinear, measured};
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::encodings::position::PositionEncodingEstimate;
-use crate::frames::constant_frames::{frame_estimate, with_frames_from_positions};
+use crate::frames::constant_frames::with_frames_from_positions;
 use crate::frames::with_links::frames_with_links;
 use crate::latency::correlation::median_period_s;
 use crate::latency::delay_jitter::{DelayJitter, estimate_delay_jitter};
 use crate::latency::profile::latency_profile;
-use crate::model::measurement::StreamState;
+use crate::model::measurement::{State, StreamAt, StreamState, twist_of};
 use crate::model::observability::Observability;
+use crate::priors::MARKER_PRIOR_M;
 use crate::residuals::excess::excess_residual;
-use crate::samples::sampling::{MAX_SEARCH_SAMPLES, range_of, rest_speeds};
+use crate::samples::sampling::{MAX_SEARCH_SAMPLES, rest_speeds, value_range};
 use crate::selection::held_out::HeldOut;
-use crate::selection::model_selection::{Cause, SelectedModel};
+use crate::selection::model_selection::Cause;
 use crate::selection::nominal_model::{Timing, is_unsteady_beside_links};
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
@@ -24,8 +25,9 @@ use crate::{
     NotObservable, PoseDiagnosis, PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
-use ground::stats::mean;
+use ground::stats::{MeasuredLength, joint_p_value, mean};
 use ground::stream::JointTrack;
+use std::f64::consts::PI;
 
 /// Two latencies cannot be distinguished below it: rms rad, or m at an arm length of 1 m.
 const MIN_DISTINGUISHABLE_RAD: f64 = 2e-5;
@@ -91,45 +93,6 @@ impl PoseDiagnosis {
     }
 }
 
-/// Detected unit, if it differs from the assumed one.
-fn length_unit_error(
-    stream: &PoseStream,
-    placement: &PositionEncodingEstimate,
-    decoded: &DecodedStream,
-    residual: &EstimateResult<StreamResidual>,
-) -> EstimateResult<Option<LengthUnitError>> {
-    placement.metres.as_ref().map_err(NotObservable::clone)?;
-    if decoded.metres == 1.0 {
-        return Ok(None);
-    }
-    let declared = stream.track.declared.as_ref();
-    let read_as = declared.map_or(LengthScale::METRE, |declared| declared.length);
-    let is = LengthScale::from_m(decoded.metres * read_as.in_m());
-    let residual = residual.as_ref().ok();
-    let corrected = residual.map_or(0.0, |residual| residual.rms_m);
-    let as_logged = residual.map_or(0.0, |residual| residual.before_m);
-    Ok(Some(LengthUnitError { is, read_as, residual: UnitResiduals { as_logged, corrected } }))
-}
-
-/// Coordinates with their range by FK.
-fn constant_coordinates(
-    stream: &PoseStream,
-    decoded: &DecodedStream,
-    aligned: &AlignedSamples,
-) -> Vec<ConstantCoordinate> {
-    let axes = decoded.axes.unwrap_or(AxesError::NONE).positions;
-    let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
-    let constant = coordinates.filter(|&(axis, _)| decoded.constant[axis]);
-    let part = |(axis, coordinate): (usize, char)| {
-        let along =
-            aligned.fk.iter().map(|fk| axes.convert_from_standard(fk.translation.vector)[axis]);
-        let [low, high] = range_of(along);
-        let value = mean(stream.track.xyz.iter().map(|xyz| xyz[axis]));
-        ConstantCoordinate { coordinate, value, moved_m: (high - low).max(0.0) }
-    };
-    constant.map(part).collect()
-}
-
 /// One stream in the common fit of all.
 pub(super) struct StreamFit<'a> {
     pub recorded: &'a JointTrack,
@@ -145,32 +108,30 @@ pub(super) struct StreamFit<'a> {
 
 impl StreamFit<'_> {
     pub fn diagnose(&self) -> PoseDiagnosis {
-        let Self { recorded, stream, position_encoding, decoded, fitted, index, .. } = *self;
+        let Self { stream, position_encoding, decoded, fitted, index, .. } = *self;
         let ArmFit { model, deviations, .. } = fitted;
-        let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
+        let StreamAt { state, offsets, .. } = self.at();
         let is_chosen = |cause: Cause| model.causes.contains(&cause);
         let scale = Cause::RadialScale(index);
-        let aligned = align(recorded, stream, decoded, model, index);
+        let aligned = align(self);
         let (latency_s, delay_jitter) = self.latency(&aligned);
         let (latency_profile, unconfirmed_latency) = match &latency_s {
             Ok(_) => self.latency_profile(&aligned),
             Err(why) => (Err(why.clone()), None),
         };
-        let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
+        let residual = excess_residual(&aligned, &decoded.observations, state, offsets);
         let mut encoding = decoded.encoding.clone();
         if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
             // Latency, offsets and frames are now corrected.
             encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
         }
         let information = model.linear.information_of(index);
-        let observability =
-            Observability::new(decoded.observations.at(stream_state, zeros), &information);
         let found = PoseDiagnosis {
             encoding,
-            length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
+            length_unit: self.length_unit_error(&residual),
             axes: Ok(decoded.axes),
             is_inverted: decoded.is_inverted,
-            constant_coordinates: constant_coordinates(stream, decoded, &aligned),
+            constant_coordinates: self.constant_coordinates(&aligned),
             degrees: decoded.degrees,
             latency_s,
             delay_jitter,
@@ -182,14 +143,14 @@ impl StreamFit<'_> {
             is_radial_scale_chosen: is_chosen(scale),
             reference: self.frame(Cause::Reference(index)),
             tool: self.frame(Cause::Tool(index)),
-            frame_correction: stream_state.frame_correction(),
+            frame_correction: state.frame_correction(),
             residual,
             is_nominal: deviations.is_some(),
             link_m: deviations.as_ref().map(|deviations| deviations.link_m),
             largest_displacement: deviations
                 .as_ref()
                 .and_then(|deviations| deviations.largest_displacement),
-            observability: Some(observability),
+            observability: Some(Observability::new(self.at(), &information)),
             top_speed_m_s: position_encoding.top_speed_m_s,
             aligned,
             held_out: self.held_out.of_stream(index),
@@ -209,6 +170,44 @@ impl StreamFit<'_> {
         .without_overfitted_causes()
     }
 
+    pub fn at(&self) -> StreamAt<'_> {
+        let State { streams, offsets } = &self.fitted.model.state;
+        self.decoded.observations.at(&streams[self.index], offsets)
+    }
+
+    /// Detected unit, if it differs from the assumed one.
+    fn length_unit_error(
+        &self,
+        residual: &EstimateResult<StreamResidual>,
+    ) -> EstimateResult<Option<LengthUnitError>> {
+        self.position_encoding.metres.as_ref().map_err(NotObservable::clone)?;
+        if self.decoded.metres == 1.0 {
+            return Ok(None);
+        }
+        let declared = self.stream.track.declared.as_ref();
+        let read_as = declared.map_or(LengthScale::METRE, |declared| declared.length);
+        let is = LengthScale::from_m(self.decoded.metres * read_as.in_m());
+        let residual = residual.as_ref().ok();
+        let corrected = residual.map_or(0.0, |residual| residual.rms_m);
+        let as_logged = residual.map_or(0.0, |residual| residual.before_m);
+        Ok(Some(LengthUnitError { is, read_as, residual: UnitResiduals { as_logged, corrected } }))
+    }
+
+    /// Coordinates with their range by FK.
+    fn constant_coordinates(&self, aligned: &AlignedSamples) -> Vec<ConstantCoordinate> {
+        let Self { stream, decoded, .. } = self;
+        let axes = decoded.axes.unwrap_or(AxesError::NONE).positions;
+        let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
+        let constant = coordinates.filter(|&(axis, _)| decoded.constant[axis]);
+        let part = |(axis, coordinate): (usize, char)| {
+            let fk = aligned.fk.iter().map(|fk| fk.translation.vector);
+            let along = fk.map(|fk| axes.convert_from_standard(fk)[axis]);
+            let value = mean(stream.track.xyz.iter().map(|xyz| xyz[axis]));
+            ConstantCoordinate { coordinate, value, moved_m: value_range(along).max(0.0) }
+        };
+        constant.map(part).collect()
+    }
+
     /// The chosen causes and this one.
     fn causes_with(&self, cause: Cause) -> Vec<Cause> {
         let mut causes = self.fitted.model.causes.clone();
@@ -226,7 +225,7 @@ impl StreamFit<'_> {
         let is_nominal = deviations.is_some() && !model.causes.contains(&cause);
         if is_nominal && matches!(cause, Cause::RadialScale(_)) {
             Err(NotObservable::NominalKinematics)
-        } else if is_hidden(self.fitted, cause, self.index) {
+        } else if self.is_hidden(cause) {
             Err(NotObservable::NotExcited)
         } else if self.is_candidate(cause) {
             measured(self.fitted, &self.causes_with(cause), cause)
@@ -241,18 +240,58 @@ impl StreamFit<'_> {
         if deviations.is_some() && !self.is_candidate(cause) {
             return Err(NotObservable::NominalKinematics);
         }
-        if is_hidden(self.fitted, cause, self.index) {
+        if self.is_hidden(cause) {
             return Err(NotObservable::NotExcited);
         }
-        let causes = self.causes_with(cause);
-        let found = frame_estimate(model, candidates, &causes, cause, self.index)?;
+        let (state, linear) = (&model.state, &model.linear);
+        let parameters = candidates.free_parameters(&self.causes_with(cause), state);
+        let own = cause.parameters(state);
+        let width = own.len();
+        let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;
+        let covariance = match candidates.may_confound_frames {
+            // The motion may not separate the frames, but no tool is as long as a base can be away.
+            true => linear.covariance_with_prior(&parameters, |parameter| {
+                let tool = Cause::Tool(self.index).parameters(state);
+                [MARKER_PRIOR_M, PI].get(parameter.checked_sub(tool.start)? / 3).copied()
+            }),
+            false => linear.covariance(&parameters),
+        };
+        let block = covariance.view((first, first), (width, width)).into_owned();
+        if !block.diagonal().iter().all(|variance| variance.is_finite()) {
+            return Err(NotObservable::NotExcited);
+        }
+        let mut moved = state.clone();
+        moved.step(&linear.step(&parameters));
+        let stream = &moved.streams[self.index];
+        // The model maps base coordinates to the stream's; the reported error is the inverse.
+        let (frame, round, pose) = match cause {
+            Cause::Tool(_) => (stream.tool, stream.round_tool, stream.tool),
+            _ => (stream.reference, stream.round_reference, stream.reference.inverse()),
+        };
+        let twist = twist_of(&frame);
+        let dof = linear.normal.dof(parameters.len());
+        let length = |first: usize| {
+            if first >= width {
+                // The rotation is not observable.
+                return Measured { value: 0.0, std_error: PI, dof };
+            }
+            let own = block.view((first, first), (3, 3)).into_owned();
+            MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
+        };
+        let tuned = moved.values().rows(own.start, width).into_owned();
+        let found = FrameEstimate {
+            pose,
+            translation_m: length(0),
+            rotation_rad: length(3),
+            p_value: round.map_or_else(|| joint_p_value(&tuned, &block, f64::INFINITY), |_| 0.0),
+            is_chosen: round.is_some() || model.causes.contains(&cause),
+        };
         Ok(self.beside_links.widen_frame(cause, found))
     }
 
     /// Latency, and the jitter of the delays if they are measured one by one.
     fn latency(&self, aligned: &AlignedSamples) -> (EstimateResult<Measured>, Option<DelayJitter>) {
-        let model = &self.fitted.model;
-        if let Some(lags) = aliases(self.decoded, model, self.index) {
+        if let Some(lags) = self.aliases() {
             return (Err(NotObservable::Periodic(lags)), None);
         }
         let fitted = match (self.timing(), self.estimate(Cause::Latency(self.index))) {
@@ -260,7 +299,7 @@ impl StreamFit<'_> {
             (None, Ok(latency)) => latency,
             (None, Err(why)) => return (Err(why), None),
         };
-        let delays = estimate_delay_jitter(aligned, model.state.streams[self.index].latency_s);
+        let delays = estimate_delay_jitter(aligned, self.at().state.latency_s);
         let latency = delays.as_ref().map_or(fitted, |delays| delays.median_s);
         (Ok(latency.with_error(self.stream.stamp_error_s)), delays)
     }
@@ -287,30 +326,90 @@ impl StreamFit<'_> {
         &self,
         aligned: &AlignedSamples,
     ) -> (EstimateResult<LatencyProfile>, Option<LatencyProfile>) {
-        let Self { recorded, stream, decoded, index, .. } = *self;
-        let model = &self.fitted.model;
-        let stream_state = &model.state.streams[index];
+        let Self { recorded, stream, .. } = *self;
+        let StreamAt { observations, state, offsets } = self.at();
         let rest_speeds = rest_speeds(recorded);
-        let speed = |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - stream_state.latency_s);
+        let speed = |t_s: f64| joint_speed(recorded, &rest_speeds, t_s - state.latency_s);
         // In a moving frame, the corrected poses also depend on the latency.
         let fk_at = |late_s: &dyn Fn(f64) -> f64| {
             let is_fixed = stream.moving_frame.is_none();
-            is_fixed.then(|| fk_at_latency(aligned, decoded, model, index, late_s))
+            is_fixed.then(|| fk_at_latency(self, aligned, late_s))
         };
         let removed = stream.removed_ramp;
-        let profile = match latency_profile(aligned, stream_state.skew, removed, speed, fk_at) {
+        let profile = match latency_profile(aligned, state.skew, removed, speed, fk_at) {
             Ok(profile) if profile.shape != LatencyShape::Steady => profile,
             steady => return (steady, None),
         };
-        let (state, zeros) = (without_small_causes(model, index), &model.state.offsets);
+        let state = without_small_causes(state);
         let beside_links =
-            is_unsteady_beside_links(decoded.observations.at(&state, zeros), &profile, removed);
+            is_unsteady_beside_links(observations.at(&state, offsets), &profile, removed);
         let is_unsteady = beside_links.unwrap_or(profile.is_unsteady);
         let unconfirmed = (!is_unsteady).then(|| profile.clone());
         match profile.is_unsteady && !is_unsteady {
             true => (Err(NotObservable::NotExcited), unconfirmed),
             false => (Ok(LatencyProfile { is_unsteady, ..profile }), unconfirmed),
         }
+    }
+
+    /// Whether another error would compensate this one. At rest, only their sum is observable.
+    fn is_hidden(&self, cause: Cause) -> bool {
+        let ArmFit { model, candidates, .. } = self.fitted;
+        let (index, stream_state) = (self.index, self.at().state);
+        let is_round = match cause {
+            Cause::Reference(_) => stream_state.round_reference.is_some(),
+            Cause::Tool(_) => stream_state.round_tool.is_some(),
+            Cause::RadialScale(_) => false,
+            Cause::Zero(_) | Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {
+                return false;
+            }
+        };
+        if is_round || model.causes.contains(&cause) || !candidates.optional.contains(&cause) {
+            return false;
+        }
+        let nearby_causes =
+            [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
+        nearby_causes.iter().any(|&other| {
+            other != cause
+                && candidates.optional.contains(&other)
+                && are_collinear(model, cause, other)
+        })
+    }
+
+    /// Lags that match FK equally well in repetitive motion, if any.
+    fn aliases(&self) -> Option<Vec<f64>> {
+        let StreamAt { observations, state: stream_state, offsets } = self.at();
+        let at = |latency_s: f64| {
+            let mut state = StreamState { latency_s, ..stream_state.clone() };
+            if !observations.reference_known {
+                // Another lag may need another world frame, e.g. by one line of a raster.
+                state = with_frames_from_positions(observations.at(&state, offsets));
+            }
+            observations.at(&state, offsets).residual_at_latency(MAX_SEARCH_SAMPLES)
+        };
+        let (best, _) = at(stream_state.latency_s);
+        let min_separation_s = 4.0 * median_period_s(&observations.t_s).max(0.02);
+        let mut lags: Vec<f64> = self
+            .decoded
+            .peaks
+            .iter()
+            .take(6)
+            .map(|peak| peak.lag_s)
+            .chain([0.0])
+            .filter(|lag_s| (lag_s - stream_state.latency_s).abs() > min_separation_s)
+            .filter_map(|lag_s| {
+                let converged_s = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
+                let is_same_lag = (converged_s - stream_state.latency_s).abs() < min_separation_s;
+                (!is_same_lag && at(converged_s).0 < 2.0 * best.max(MIN_DISTINGUISHABLE_RAD))
+                    .then_some(converged_s)
+            })
+            .collect();
+        if lags.is_empty() {
+            return None;
+        }
+        lags.push(stream_state.latency_s);
+        lags.sort_by(f64::total_cmp);
+        lags.dedup_by(|a, b| (*a - *b).abs() < min_separation_s);
+        Some(lags)
     }
 }
 
@@ -322,61 +421,4 @@ fn joint_speed(joints: &JointTrack, rest_speeds: &[f64], t_s: f64) -> f64 {
         return 0.0;
     }
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
-}
-
-/// Whether another error would compensate this one. At rest, only their sum is observable.
-fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
-    let ArmFit { model, candidates, .. } = fitted;
-    let stream_state = &model.state.streams[index];
-    let is_round = match cause {
-        Cause::Reference(_) => stream_state.round_reference.is_some(),
-        Cause::Tool(_) => stream_state.round_tool.is_some(),
-        Cause::RadialScale(_) => false,
-        Cause::Zero(_) | Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
-    };
-    if is_round || model.causes.contains(&cause) || !candidates.optional.contains(&cause) {
-        return false;
-    }
-    let nearby_causes = [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
-    nearby_causes.iter().any(|&other| {
-        other != cause && candidates.optional.contains(&other) && are_collinear(model, cause, other)
-    })
-}
-
-/// Lags that match FK equally well in repetitive motion, if any.
-fn aliases(decoded: &DecodedStream, model: &SelectedModel, index: usize) -> Option<Vec<f64>> {
-    let stream_state = &model.state.streams[index];
-    let observations = &decoded.observations;
-    let offsets = &model.state.offsets;
-    let at = |latency_s: f64| {
-        let mut state = StreamState { latency_s, ..stream_state.clone() };
-        if !observations.reference_known {
-            // Another lag may need another world frame, e.g. by one line of a raster.
-            state = with_frames_from_positions(observations.at(&state, offsets));
-        }
-        observations.at(&state, offsets).residual_at_latency(MAX_SEARCH_SAMPLES)
-    };
-    let (best, _) = at(stream_state.latency_s);
-    let min_separation_s = 4.0 * median_period_s(&observations.t_s).max(0.02);
-    let mut lags: Vec<f64> = decoded
-        .peaks
-        .iter()
-        .take(6)
-        .map(|peak| peak.lag_s)
-        .chain([0.0])
-        .filter(|lag_s| (lag_s - stream_state.latency_s).abs() > min_separation_s)
-        .filter_map(|lag_s| {
-            let converged_s = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
-            let is_same_lag = (converged_s - stream_state.latency_s).abs() < min_separation_s;
-            (!is_same_lag && at(converged_s).0 < 2.0 * best.max(MIN_DISTINGUISHABLE_RAD))
-                .then_some(converged_s)
-        })
-        .collect();
-    if lags.is_empty() {
-        return None;
-    }
-    lags.push(stream_state.latency_s);
-    lags.sort_by(f64::total_cmp);
-    lags.dedup_by(|a, b| (*a - *b).abs() < min_separation_s);
-    Some(lags)
 }

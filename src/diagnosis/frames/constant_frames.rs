@@ -1,21 +1,16 @@
-//! Constant frame errors: initial guesses and estimates.
+//! Initial guesses of constant frame errors.
 
 use super::position_fit::PositionFit;
 use super::rotation_frames::mean_rotation;
 use crate::model::jacobian::pose_change;
-use crate::model::measurement::{
-    PoseObservations, StreamAt, StreamState, pose_of_twist, stacked, twist_of,
-};
+use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, stacked};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
-use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::solver::noise::rms;
-use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
     Axes, Pose, Rotation, Vec3, angle_between, mean_vector, pose, rotation_by_wahba,
     rotation_from_rotvec, rotvec_from_rotation,
 };
-use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 use std::sync::LazyLock;
 
@@ -343,62 +338,6 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
         .map(|round| first_joint * round * first_joint.inverse());
     let both = [round_rotation(&frame.rotation), at_joint];
     both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
-}
-
-/// Estimates one frame with `causes` and the always-free causes free.
-pub(crate) fn frame_estimate(
-    model: &SelectedModel,
-    candidates: &CandidateCauses,
-    causes: &[Cause],
-    cause: Cause,
-    stream: usize,
-) -> EstimateResult<FrameEstimate> {
-    let (state, linear) = (&model.state, &model.linear);
-    let parameters = candidates.free_parameters(causes, state);
-    let own = cause.parameters(state);
-    let width = own.len();
-    let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;
-    let covariance = match candidates.may_confound_frames {
-        // The motion may not separate the frames, but no tool is as long as a base can be away.
-        true => linear.covariance_with_prior(&parameters, |parameter| {
-            let of_tool = parameter.checked_sub(Cause::Tool(stream).parameters(state).start)?;
-            [MARKER_PRIOR_M, std::f64::consts::PI].get(of_tool / 3).copied()
-        }),
-        false => linear.covariance(&parameters),
-    };
-    let block = covariance.view((first, first), (width, width)).into_owned();
-    if !block.diagonal().iter().all(|variance| variance.is_finite()) {
-        return Err(NotObservable::NotExcited);
-    }
-    let mut moved = state.clone();
-    moved.step(&linear.step(&parameters));
-    let stream_state = &moved.streams[stream];
-    let is_tool = matches!(cause, Cause::Tool(_));
-    let (frame, round) = match is_tool {
-        true => (stream_state.tool, stream_state.round_tool),
-        false => (stream_state.reference, stream_state.round_reference),
-    };
-    let twist = twist_of(&frame);
-    let dof = linear.normal.dof(parameters.len());
-    let tuned = moved.values().rows(own.start, width).into_owned();
-    let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
-    let length = |first: usize| {
-        if first >= width {
-            // The rotation is not observable.
-            return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
-        }
-        let own = block.view((first, first), (3, 3)).into_owned();
-        MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
-    };
-    // The model maps base coordinates to the stream's; the reported error is the inverse.
-    let pose = if is_tool { frame } else { frame.inverse() };
-    Ok(FrameEstimate {
-        pose,
-        translation_m: length(0),
-        rotation_rad: length(3),
-        p_value,
-        is_chosen: round.is_some() || model.causes.contains(&cause),
-    })
 }
 
 #[cfg(test)]
