@@ -1,64 +1,62 @@
+//! Amounts of causes in a fit, and causes that it does not distinguish.
+
 use super::fit::ArmFit;
 use crate::model::measurement::State;
-use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION};
 use crate::{Confounder, EstimateResult, Measured, NotObservable};
 use nalgebra::DVector;
 
-/// First parameter of `cause` if `causes` and the always-free causes are free.
-pub(super) fn measured(
-    fitted: &ArmFit,
-    causes: &[Cause],
-    cause: Cause,
-) -> EstimateResult<Measured> {
-    let ArmFit { model, candidates, .. } = fitted;
-    let state = &model.state;
-    let parameters = candidates.free_parameters(causes, state);
-    let parameter = cause.parameters(state).start;
-    let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
-    model.linear.measured(&parameters, at).ok_or(NotObservable::NotExcited)
-}
+impl ArmFit {
+    /// First parameter of `cause` if `causes` and the always-free causes are free.
+    pub(super) fn measured(&self, causes: &[Cause], cause: Cause) -> EstimateResult<Measured> {
+        let state = &self.model.state;
+        let parameters = self.candidates.free_parameters(causes, state);
+        let parameter = cause.parameters(state).start;
+        let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
+        self.model.linear.measured(&parameters, at).ok_or(NotObservable::NotExcited)
+    }
 
-/// Whether the motion does not separate the effects of two causes.
-pub(super) fn are_collinear(model: &SelectedModel, one: Cause, other: Cause) -> bool {
-    let state = &model.state;
-    let mut both: Vec<usize> = one.parameters(state).chain(other.parameters(state)).collect();
-    both.sort_unstable();
-    model.linear.separation(&both) < MIN_CAUSE_SEPARATION
-}
+    /// Whether the motion does not separate the effects of two causes.
+    pub(super) fn are_collinear(&self, one: Cause, other: Cause) -> bool {
+        let state = &self.model.state;
+        let mut both: Vec<usize> = one.parameters(state).chain(other.parameters(state)).collect();
+        both.sort_unstable();
+        self.model.linear.separation(&both) < MIN_CAUSE_SEPARATION
+    }
 
-/// Causes that explain the log as well in its place.
-pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { model, candidates, .. } = fitted;
-    let (state, linear) = (&model.state, &model.linear);
-    let cost = linear.cost(&candidates.free_parameters(&model.causes, state));
-    let rest: Vec<Cause> = model.causes.iter().copied().filter(|c| *c != cause).collect();
-    let confounder = |&other: &Cause| {
-        let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
-        let parameters = candidates.free_parameters(&swapped, state);
-        if linear.cost(&parameters) > cost + 12.0 {
-            return None;
-        }
-        as_confounder(other, state, &(state.values() + linear.step(&parameters)))
-    };
-    let others = candidates.optional.iter().filter(|other| !model.causes.contains(other));
-    others.filter_map(confounder).collect()
-}
+    /// Causes that explain the log as well in its place.
+    pub(super) fn confounders(&self, cause: Cause) -> Vec<Confounder> {
+        let Self { model, candidates, .. } = self;
+        let (state, linear) = (&model.state, &model.linear);
+        let cost = linear.cost(&candidates.free_parameters(&model.causes, state));
+        let rest: Vec<Cause> = model.causes.iter().copied().filter(|c| *c != cause).collect();
+        let confounder = |&other: &Cause| {
+            let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
+            let parameters = candidates.free_parameters(&swapped, state);
+            if linear.cost(&parameters) > cost + 12.0 {
+                return None;
+            }
+            as_confounder(other, state, &(state.values() + linear.step(&parameters)))
+        };
+        let others = candidates.optional.iter().filter(|other| !model.causes.contains(other));
+        others.filter_map(confounder).collect()
+    }
 
-/// Frames that are collinear with the joint offset `cause`.
-pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { model, candidates, .. } = fitted;
-    let state = &model.state;
-    let values = state.values();
-    let round = state.streams.iter().enumerate().flat_map(|(s, stream)| {
-        let reference = stream.round_reference.map(|_| Cause::Reference(s));
-        reference.into_iter().chain(stream.round_tool.map(|_| Cause::Tool(s)))
-    });
-    let causes = candidates.always.iter().chain(&model.causes).copied().chain(round);
-    causes
-        .filter(|other| matches!(other, Cause::Reference(_) | Cause::Tool(_)))
-        .filter(|frame| are_collinear(model, *frame, cause))
-        .filter_map(|frame| as_confounder(frame, state, &values))
-        .collect()
+    /// Frames that are collinear with the joint offset `cause`.
+    pub(super) fn frame_confounders(&self, cause: Cause) -> Vec<Confounder> {
+        let state = &self.model.state;
+        let values = state.values();
+        let round = state.streams.iter().enumerate().flat_map(|(s, stream)| {
+            let reference = stream.round_reference.map(|_| Cause::Reference(s));
+            reference.into_iter().chain(stream.round_tool.map(|_| Cause::Tool(s)))
+        });
+        let causes = self.candidates.free(&self.model.causes).into_iter().chain(round);
+        causes
+            .filter(|other| matches!(other, Cause::Reference(_) | Cause::Tool(_)))
+            .filter(|frame| self.are_collinear(*frame, cause))
+            .filter_map(|frame| as_confounder(frame, state, &values))
+            .collect()
+    }
 }
 
 /// A joint zero or a frame with its value. `None` for other causes.

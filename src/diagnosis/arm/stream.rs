@@ -2,7 +2,6 @@
 
 use super::align::{align, fk_at_latency};
 use super::beside_links::BesideLinks;
-use super::confounders::{are_collinear, measured};
 use super::fit::{ArmFit, without_small_causes};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::encodings::position::PositionEncodingEstimate;
@@ -228,7 +227,7 @@ impl StreamFit<'_> {
         } else if self.is_hidden(cause) {
             Err(NotObservable::NotExcited)
         } else if self.is_candidate(cause) {
-            measured(self.fitted, &self.causes_with(cause), cause)
+            self.fitted.measured(&self.causes_with(cause), cause)
         } else {
             Err(NotObservable::AtRest)
         }
@@ -371,7 +370,7 @@ impl StreamFit<'_> {
         nearby_causes.iter().any(|&other| {
             other != cause
                 && candidates.optional.contains(&other)
-                && are_collinear(model, cause, other)
+                && self.fitted.are_collinear(cause, other)
         })
     }
 

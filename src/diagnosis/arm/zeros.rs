@@ -1,5 +1,4 @@
 use super::beside_links::BesideLinks;
-use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
@@ -56,12 +55,12 @@ pub(super) fn joint_offsets(
             let offset = match deviation_zero {
                 Some(zero) => zero.ok_or(NotObservable::NominalKinematics),
                 None if is_excited => {
-                    measured(fitted, causes, cause).map(|zero| beside_links.widen(cause, zero))
+                    fitted.measured(causes, cause).map(|zero| beside_links.widen(cause, zero))
                 }
                 None => Err(NotObservable::NotExcited),
             };
             let mut all_confounders =
-                if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
+                if chosen { fitted.confounders(cause) } else { fitted.frame_confounders(cause) };
             all_confounders.extend_from_slice(deviation_confounders.unwrap_or_default());
             if let (true, Ok(zero)) = (chosen, &offset) {
                 let of_frame = frame_of_end(decoded, joint, zero.value.abs());
@@ -112,7 +111,7 @@ pub(super) fn joint_gains(
     let (mut scales, mut couplings) = (Vec::new(), Vec::new());
     for (at, &(column, by)) in corrected.gains.iter().enumerate() {
         let cause = Cause::JointScale(corrected.track.dof + at);
-        let Ok(gain) = measured(fitted, &model.causes, cause) else { continue };
+        let Ok(gain) = fitted.measured(&model.causes, cause) else { continue };
         let is_own = |own: &&JointCoupling| (own.column, own.by) == (column, by);
         if column == by {
             let encoded = corrected.factors[column];
