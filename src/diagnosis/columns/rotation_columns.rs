@@ -3,6 +3,7 @@
 use super::{ColumnMapping, NumericTable};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
+use ground::stats::mean;
 use ground::stats::thin::thinned;
 
 impl NumericTable {
@@ -24,21 +25,21 @@ impl NumericTable {
         let fk = self.poses_at(&block, chain, &rows, mapping.lag_s);
         let pairs: Vec<(usize, usize)> =
             (1..rows.len()).flat_map(|at| [(0, at), (at - 1, at), (at / 2, at)]).collect();
-        let rms = |angle: &dyn Fn(usize, usize) -> f64, other: &dyn Fn(usize, usize) -> f64| {
-            let differences = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
-            (differences.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
-        };
-        let expected = |a: usize, b: usize| angle_between(&fk[a].rotation, &fk[b].rotation);
-        let rotation_rad = rms(&expected, &|_, _| 0.0);
+        let angle = |&(a, b): &(usize, usize)| angle_between(&fk[a].rotation, &fk[b].rotation);
+        let expected: Vec<f64> = pairs.iter().map(angle).collect();
+        let rotation_rad = mean(expected.iter().map(|angle| angle * angle)).sqrt();
         if rotation_rad < MIN_ROTATION_RAD {
             return None;
         }
         let number = |row: usize, at: usize| self.columns[columns[at]][rows[row]];
         let max_difference = MAX_DIFFERENCE_RAD.min(0.15 * rotation_rad);
-        let agrees = |all: Option<Vec<Rotation>>| {
-            all.is_some_and(|all| {
-                rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < max_difference
-            })
+        let agrees = |angle: &dyn Fn(usize, usize) -> f64| {
+            let difference = |(&(a, b), expected): (&(usize, usize), &f64)| angle(a, b) - expected;
+            let squares = pairs.iter().zip(&expected).map(|pair| difference(pair).powi(2));
+            mean(squares).sqrt() < max_difference
+        };
+        let rotations_agree = |all: Option<Vec<Rotation>>| {
+            all.is_some_and(|all| agrees(&|a, b| angle_between(&all[a], &all[b])))
         };
         let norms_are_one = |of: usize| {
             let norm =
@@ -50,20 +51,17 @@ impl NumericTable {
                 Convention::all().iter().any(|convention| {
                     let read =
                         |row| convention.rotation([0, 1, 2].map(|at| unit * number(row, at)));
-                    agrees(Some((0..rows.len()).map(read).collect()))
+                    rotations_agree(Some((0..rows.len()).map(read).collect()))
                 })
             }),
             4 if norms_are_one(1) => {
                 let read = |row| rotation_from_xyzw([0, 1, 2, 3].map(|at| number(row, at)));
-                agrees((0..rows.len()).map(read).collect())
+                rotations_agree((0..rows.len()).map(read).collect())
             }
-            9 if norms_are_one(3) => {
-                let angle = |a: usize, b: usize| {
-                    let trace: f64 = (0..9).map(|at| number(a, at) * number(b, at)).sum();
-                    (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos()
-                };
-                rms(&expected, &angle) < max_difference
-            }
+            9 if norms_are_one(3) => agrees(&|a, b| {
+                let trace: f64 = (0..9).map(|at| number(a, at) * number(b, at)).sum();
+                (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos()
+            }),
             _ => false,
         })
     }

@@ -13,53 +13,53 @@ use ground::robot::Chain;
 use ground::stats::joint_p_value;
 use nalgebra::{DMatrix, DVector};
 
-/// Estimates the reference and the tool of `found` together with link deviations. `None` unless the frame is `free`.
+/// Estimates the reference and the tool of `found` together with link deviations. `None` unless the frame is `free`, and
+/// if the motion does not determine them.
 pub(crate) fn frames_with_links(
     found: &PoseDiagnosis,
     chain: &Chain,
     free: [bool; 2],
-) -> [Option<FrameEstimate>; 2] {
-    let estimates = || {
-        let columns = CauseColumns::new(found, chain);
-        let (linear, first) = columns.constant_fit();
-        let mut normal = columns.normal_equations(&linear, &linear.weights_after(first.as_slice()));
-        for (frame, _) in Frame::BOTH.into_iter().zip(free).filter(|it| !it.1) {
-            for (axis, column) in frame.columns().enumerate() {
-                let prior = if axis < 3 { LINK_PRIOR_M } else { LINK_PRIOR_RAD };
-                normal.matrix[(column, column)] += prior.powi(-2);
-            }
+) -> Option<[Option<FrameEstimate>; 2]> {
+    if !free.contains(&true) || found.encoding.is_err() {
+        return None;
+    }
+    let columns = CauseColumns::new(found, chain);
+    let (linear, first) = columns.constant_fit();
+    let mut normal = columns.normal_equations(&linear, &linear.weights_after(first.as_slice()));
+    for (frame, _) in Frame::BOTH.into_iter().zip(free).filter(|it| !it.1) {
+        for (axis, column) in frame.columns().enumerate() {
+            let prior = if axis < 3 { LINK_PRIOR_M } else { LINK_PRIOR_RAD };
+            normal.matrix[(column, column)] += prior.powi(-2);
         }
-        let covariance = normal.matrix.clone().cholesky()?.inverse();
-        let step = &covariance * &normal.right;
-        let dof = normal.dof(linear.width);
-        let estimate = |(frame, is_free): (Frame, bool)| {
-            let centre = Pose::from_parts(columns.centre.into(), Default::default());
-            let (before, about) = match frame {
-                Frame::Reference => (&found.reference, centre),
-                Frame::Tool => (&found.tool, Pose::identity()),
-            };
-            let before = before.as_ref().ok().filter(|_| is_free)?;
-            let moved = about * pose_of_twist(&step.as_slice()[frame.columns()]) * about.inverse();
-            // The reported reference is the inverse of what maps base coordinates to the stream's.
-            let pose = match frame {
-                Frame::Reference => moved.inverse() * before.pose,
-                Frame::Tool => moved * before.pose,
-            };
-            let lever: Vec3 = pose.translation.vector - about.translation.vector;
-            let first = frame.columns().start;
-            let own = covariance.fixed_view::<6, 6>(first, first);
-            let own = twist_at(&lever) * own * twist_at(&lever).transpose();
-            let twist = twist_of(&pose);
-            let [translation_m, rotation_rad] = twist_lengths(&twist, &own, dof);
-            let own = DMatrix::from_column_slice(6, 6, own.as_slice());
-            let p_value = joint_p_value(&DVector::from_column_slice(&twist), &own, dof);
-            Some(FrameEstimate { pose, translation_m, rotation_rad, p_value, ..before.clone() })
+    }
+    let covariance = normal.matrix.clone().cholesky()?.inverse();
+    let step = &covariance * &normal.right;
+    let dof = normal.dof(linear.width);
+    let estimate = |(frame, is_free): (Frame, bool)| {
+        let centre = Pose::from_parts(columns.centre.into(), Default::default());
+        let (before, about) = match frame {
+            Frame::Reference => (&found.reference, centre),
+            Frame::Tool => (&found.tool, Pose::identity()),
         };
-        let [reference, tool] = Frame::BOTH;
-        Some([(reference, free[0]), (tool, free[1])].map(estimate))
+        let before = before.as_ref().ok().filter(|_| is_free)?;
+        let moved = about * pose_of_twist(&step.as_slice()[frame.columns()]) * about.inverse();
+        // The reported reference is the inverse of what maps base coordinates to the stream's.
+        let pose = match frame {
+            Frame::Reference => moved.inverse() * before.pose,
+            Frame::Tool => moved * before.pose,
+        };
+        let lever: Vec3 = pose.translation.vector - about.translation.vector;
+        let first = frame.columns().start;
+        let own = covariance.fixed_view::<6, 6>(first, first);
+        let own = twist_at(&lever) * own * twist_at(&lever).transpose();
+        let twist = twist_of(&pose);
+        let [translation_m, rotation_rad] = twist_lengths(&twist, &own, dof);
+        let own = DMatrix::from_column_slice(6, 6, own.as_slice());
+        let p_value = joint_p_value(&DVector::from_column_slice(&twist), &own, dof);
+        Some(FrameEstimate { pose, translation_m, rotation_rad, p_value, ..before.clone() })
     };
-    let is_known = free.contains(&true) && found.encoding.is_ok();
-    is_known.then(estimates).flatten().unwrap_or_default()
+    let [reference, tool] = Frame::BOTH;
+    Some([(reference, free[0]), (tool, free[1])].map(estimate))
 }
 
 #[cfg(test)]
