@@ -9,14 +9,16 @@ use crate::{FrameEstimate, Measured};
 use ground::geometry::Vec3;
 use ground::robot::Chain;
 use nalgebra::Matrix6;
+use std::collections::BTreeMap;
 
 /// Errors of zeros, radial scales and frames. The selected causes are free; a zero or radial scale that is not selected is
 /// free as well, together with all zeros. Excludes zeros that were fitted with link deviations.
 #[derive(Default)]
 pub(super) struct BesideLinks {
-    std_errors: Vec<(Cause, f64)>,
-    /// Per stream: covariances of a twist after the reference, and of a twist before the tool.
-    frames: Vec<[Option<Matrix6<f64>>; 2]>,
+    /// Of the stream with the smallest.
+    std_errors: BTreeMap<Cause, f64>,
+    /// Covariances of a twist after a reference, and of a twist before a tool.
+    frames: BTreeMap<Cause, Matrix6<f64>>,
 }
 
 impl BesideLinks {
@@ -45,38 +47,28 @@ impl BesideLinks {
             let ErrorsBesideLinks { std_errors, frames: [reference, last_link] } = of_selected;
             if !is_nominal {
                 let tool = last_link.map(|of_link| of_tool(decoded.observations.chain, &of_link));
-                beside.frames.resize(index, [None; 2]);
-                beside.frames.push([reference, tool]);
+                beside.frames.extend(reference.map(|own| (Cause::Reference(index), own)));
+                beside.frames.extend(tool.map(|own| (Cause::Tool(index), own)));
             }
             let others = of_zeros.std_errors.into_iter().chain(of_scale.std_errors);
             let others = others.filter(|(cause, _)| !selected.contains(cause));
             let found = std_errors.into_iter().chain(others);
-            let found = found.filter(|(cause, _)| !is_nominal || is_scale(cause));
-            found.for_each(|found| beside.add(found));
+            for (cause, std_error) in found.filter(|(cause, _)| !is_nominal || is_scale(cause)) {
+                let own = beside.std_errors.entry(cause).or_insert(std_error);
+                *own = own.min(std_error);
+            }
         }
         beside
     }
 
-    /// The stream with the smallest standard error counts.
-    fn add(&mut self, (cause, std_error): (Cause, f64)) {
-        match self.std_errors.iter_mut().find(|(own, _)| *own == cause) {
-            Some((_, own)) => *own = own.min(std_error),
-            None => self.std_errors.push((cause, std_error)),
-        }
-    }
-
     /// A reference or tool, with the larger standard errors.
     pub fn widen_frame(&self, cause: Cause, found: FrameEstimate) -> FrameEstimate {
-        let (stream, own) = match cause {
-            Cause::Reference(stream) => (stream, 0),
-            Cause::Tool(stream) => (stream, 1),
-            _ => return found,
-        };
-        let Some(of_twist) = self.frames.get(stream).and_then(|frames| frames[own]) else {
-            return found;
-        };
+        let Some(of_twist) = self.frames.get(&cause) else { return found };
         // In the axes of the reference, the stream's translation is the opposite of the reported one.
-        let lever = if own == 0 { Vec3::zeros() } else { found.pose.translation.vector };
+        let lever = match cause {
+            Cause::Tool(_) => found.pose.translation.vector,
+            _ => Vec3::zeros(),
+        };
         let covariance = twist_at(&lever) * of_twist * twist_at(&lever).transpose();
         let dof = found.translation_m.dof;
         let [m, rad] = twist_lengths(&twist_of(&found.pose), &covariance, dof);
@@ -93,9 +85,8 @@ impl BesideLinks {
 
     /// `measured`, with the larger standard error.
     pub fn widen(&self, cause: Cause, measured: Measured) -> Measured {
-        let own = self.std_errors.iter().find(|(own, _)| *own == cause);
-        let std_error = own.map_or(0.0, |(_, std_error)| *std_error).max(measured.std_error);
-        Measured { std_error, ..measured }
+        let own = self.std_errors.get(&cause).unwrap_or(&0.0);
+        Measured { std_error: own.max(measured.std_error), ..measured }
     }
 }
 
@@ -103,11 +94,10 @@ impl BesideLinks {
 fn of_tool(chain: &Chain, of_link: &Matrix6<f64>) -> Matrix6<f64> {
     let link_from_tip = chain.last_from_tip();
     let turn = link_from_tip.rotation.inverse().to_rotation_matrix();
-    let lever = link_from_tip.translation.vector.cross_matrix();
-    let mut by_link = Matrix6::zeros();
-    by_link.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
-    by_link.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(turn.matrix() * lever));
-    by_link.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+    let mut turned = Matrix6::zeros();
+    turned.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+    turned.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+    let by_link = turned * twist_at(&link_from_tip.translation.vector);
     by_link * of_link * by_link.transpose()
 }
 
