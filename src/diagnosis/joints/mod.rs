@@ -505,15 +505,12 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) 
 
 /// Largest position residual that counts as noise, m. `scale` converts the stream's positions to metres.
 fn max_noise_m(stream: &PoseStream, scale: f64, extent_m: f64) -> f64 {
-    (MAX_NOISE_RATIO * scale * position_noise(stream)).min(MAX_LOGGED_RESIDUAL_SHARE * extent_m)
-}
-
-/// Rms distance of a position from the mean, due to noise, in the unit of the stream.
-fn position_noise(stream: &PoseStream) -> f64 {
     let along = |axis: usize| {
         sample_noise(&stream.track.xyz.iter().map(|xyz| xyz[axis]).collect::<Vec<f64>>())
     };
-    Vec3::from([0, 1, 2].map(along)).norm()
+    // Rms distance of a position from the mean, due to noise.
+    let noise_m = scale * Vec3::from([0, 1, 2].map(along)).norm();
+    (MAX_NOISE_RATIO * noise_m).min(MAX_LOGGED_RESIDUAL_SHARE * extent_m)
 }
 
 #[cfg(test)]
