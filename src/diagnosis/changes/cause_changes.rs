@@ -9,7 +9,7 @@ use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
 use super::large_steps::{LargeStep, StepSize, large_steps};
 use super::patches::with_poses;
 use super::profile::Profile;
-use super::score_test::{ChangeKind, ColumnChange, likeliest_change};
+use super::score_test::{ChangeKind, likeliest_change};
 use super::split_run::SplitRun;
 use super::{FrameChange, JointChange, JointPatch, ScalarChange};
 use crate::arm::are_floating;
@@ -24,7 +24,7 @@ use crate::priors::{
 use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::likeliest;
-use crate::solver::linear::{Linear, SharedEquations, StreamEquations, Weight};
+use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, PoseDiagnosis,
     PoseStream,
@@ -36,8 +36,9 @@ use nalgebra::{DMatrix, DVector, Vector6};
 use std::borrow::Cow;
 use std::ops::Range;
 
+/// What changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Subject {
+pub(super) enum Subject {
     Frame { stream: usize, frame: Frame },
     RadialScale { stream: usize },
     Zero { column: usize },
@@ -54,21 +55,21 @@ impl Subject {
 }
 
 #[derive(Clone)]
-struct Change {
-    subject: Subject,
-    /// Variable columns in its stream. Of a joint zero, one.
-    columns: Range<usize>,
+pub(super) struct Change {
+    pub subject: Subject,
+    /// Variable columns of its stream. Of a joint zero, one.
+    pub columns: Range<usize>,
     /// By the stamps of its stream, or of the joints for a joint zero.
-    profile: Profile,
+    pub profile: Profile,
     /// Half of the change in its columns.
-    half: DVector<f64>,
+    pub half: DVector<f64>,
 }
 
 impl Change {
-    /// Parameters of its amount and of a gradual profile.
+    /// Parameters of its amount and of a gradual profile, which has no effect without an amount.
     fn width(&self) -> usize {
-        let of_profile = if self.has_amount() { self.profile.derivatives(0.0).len() } else { 0 };
-        self.columns.len() + of_profile
+        let has_amount = self.half.iter().any(|value| *value != 0.0);
+        self.columns.len() + if has_amount { self.profile.derivatives(0.0).len() } else { 0 }
     }
 
     /// Minus twice the logarithm of the prior probability of its amount: large opposite changes are improbable.
@@ -86,11 +87,6 @@ impl Change {
         };
         let amounts = self.columns.clone().zip(&self.half);
         amounts.map(|(column, half)| (2.0 * half / size(column)).powi(2)).sum()
-    }
-
-    /// Whether the amount differs from zero. At zero, the profile has no effect.
-    fn has_amount(&self) -> bool {
-        self.half.iter().any(|value| *value != 0.0)
     }
 
     /// `part` times its half, as a twist of its frame. Zero unless a frame changes.
@@ -134,62 +130,52 @@ impl<'a> Stream<'a> {
     }
 
     /// The change in this stream's columns and stamps. `None` if it does not affect the stream.
-    fn seen(&self, change: &Change) -> Option<ColumnChange> {
-        match change.subject {
-            Subject::Zero { column } => {
-                let joint = self.joints.iter().position(|own| *own == column)?;
-                let own = ZEROS + joint;
-                let profile = change.profile.later(self.latency_s());
-                let is_known = self.columns.zeros().contains(&own);
-                is_known.then(|| ColumnChange { profile, columns: own..own + 1 })
-            }
-            subject => (subject.stream() == Some(self.index))
-                .then(|| ColumnChange { profile: change.profile, columns: change.columns.clone() }),
-        }
+    fn seen(&self, change: &Change) -> Option<Change> {
+        let Subject::Zero { column } = change.subject else {
+            return (change.subject.stream() == Some(self.index)).then(|| change.clone());
+        };
+        let own = ZEROS + self.joints.iter().position(|own| *own == column)?;
+        let profile = change.profile.later(self.latency_s());
+        let is_known = self.columns.zeros().contains(&own);
+        is_known.then(|| Change { profile, columns: own..own + 1, ..change.clone() })
+    }
+
+    fn all_seen(&self, changes: &[Change]) -> Vec<Change> {
+        changes.iter().filter_map(|change| self.seen(change)).collect()
     }
 
     /// The change that is seen in these columns. `None` for a latency.
-    fn change(&self, ColumnChange { profile, columns }: ColumnChange) -> Option<Change> {
-        let stream = self.index;
-        let half = DVector::zeros(columns.len());
+    fn change(&self, profile: Profile, columns: Range<usize>) -> Option<Change> {
+        let (stream, half) = (self.index, DVector::zeros(columns.len()));
         let subject = match Frame::of(&columns) {
             Some(frame) => Subject::Frame { stream, frame },
             None if columns.start == RADIAL_SCALE => Subject::RadialScale { stream },
-            None => {
-                let joint = columns.start.checked_sub(ZEROS)?;
-                Subject::Zero { column: self.joints[joint] }
-            }
+            None => Subject::Zero { column: self.joints[columns.start.checked_sub(ZEROS)?] },
         };
         // Joint zeros change by the joints' stamps.
         let late_s = if subject.stream().is_none() { self.latency_s() } else { 0.0 };
         Some(Change { subject, columns, profile: profile.later(-late_s), half })
     }
 
-    /// Columns of the amounts of a change, then, if its half is given, of the parameters of its profile.
-    fn variable(
-        &self,
-        ColumnChange { profile, columns }: &ColumnChange,
-        half: Option<&DVector<f64>>,
-    ) -> Vec<VariableColumns> {
-        let t_s = || self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
-        let columns = |factors: Vec<f64>, along: Option<&DVector<f64>>| VariableColumns {
+    /// Columns with a factor of each sample's time.
+    fn variable(&self, columns: &Range<usize>, factor: impl Fn(f64) -> f64) -> VariableColumns {
+        let t_s = self.columns.samples().map(|row| self.columns.aligned.t_s[row]);
+        VariableColumns {
             columns: columns.clone(),
-            factors,
-            along: along.cloned(),
-        };
-        let parameters = half.map_or(0, |_| profile.derivatives(0.0).len());
-        let amounts = columns(t_s().map(|t_s| profile.factor(t_s)).collect(), None);
-        let of_profile = (0..parameters).map(|parameter| {
-            columns(t_s().map(|t_s| profile.derivatives(t_s)[parameter]).collect(), half)
-        });
-        std::iter::once(amounts).chain(of_profile).collect()
+            factors: t_s.map(factor).collect(),
+            along: None,
+        }
     }
 
-    fn linearize(&self, changes: &[(&Change, ColumnChange)]) -> Linear {
-        let variable = changes.iter().flat_map(|(change, seen)| {
-            self.variable(seen, change.has_amount().then_some(&change.half))
+    /// Columns of the amount of a change that is seen, then of the parameters of its profile.
+    fn columns_of(&self, seen: &Change) -> Vec<VariableColumns> {
+        let Change { columns, profile, half, .. } = seen;
+        let of_profile = (0..seen.width() - columns.len()).map(|parameter| VariableColumns {
+            along: Some(half.clone()),
+            ..self.variable(columns, |t_s| profile.derivatives(t_s)[parameter])
         });
-        self.columns.linearize(&variable.collect::<Vec<_>>())
+        let amount = self.variable(columns, |t_s| profile.factor(t_s));
+        std::iter::once(amount).chain(of_profile).collect()
     }
 
     /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
@@ -203,25 +189,24 @@ impl<'a> Stream<'a> {
         if !has_slow_residual(self.found) {
             return None;
         }
-        let seen: Vec<ColumnChange> = changes.iter().filter_map(|it| self.seen(it)).collect();
+        let seen = self.all_seen(changes);
         let likeliest =
             |weights: &[Weight]| likeliest_change(&self.columns, &seen, (linear, weights), kind);
-        let weights = self.columns.local_weights(linear);
-        let (mut next, mut score) = likeliest(&weights)?;
+        let (mut profile, mut columns, mut score) = likeliest(&self.columns.local_weights(linear))?;
         if kind.with_drifts {
             // The residual after this change has the weights that resolve its shape.
-            let beside = self.variable(&next, None);
-            let weights = self.columns.local_weights(&self.columns.linearize(&beside));
-            (next, score) = likeliest(&weights)?;
+            let beside =
+                self.columns.linearize(&[self.variable(&columns, |t_s| profile.factor(t_s))]);
+            (profile, columns, score) = likeliest(&self.columns.local_weights(&beside))?;
         }
-        Some((self.change(next)?, score))
+        Some((self.change(profile, columns)?, score))
     }
 
     /// Removes these changes of frames and radial scales from a corrected pose, [`TO_MIDDLE`] or [`TO_START`]. `constant`
     /// are twists of the reference and the tool.
     fn steady_pose(
         &self,
-        changes: &[(&Change, ColumnChange)],
+        seen: &[Change],
         target: f64,
         constant: &[Vector6<f64>; 2],
         is: &Pose,
@@ -229,8 +214,8 @@ impl<'a> Stream<'a> {
     ) -> Pose {
         let mut twists = *constant;
         let mut scale = 0.0;
-        for (change, seen) in changes {
-            let part = seen.profile.factor(t_s) + target;
+        for change in seen {
+            let part = change.profile.factor(t_s) + target;
             match change.subject {
                 Subject::Frame { frame, .. } => twists[frame as usize] += change.twist(part),
                 Subject::RadialScale { .. } => scale += part * change.half[0],
@@ -244,13 +229,9 @@ impl<'a> Stream<'a> {
         pose
     }
 
-    fn seen_changes<'b>(&self, changes: &'b [Change]) -> Vec<(&'b Change, ColumnChange)> {
-        changes.iter().filter_map(|change| Some((change, self.seen(change)?))).collect()
-    }
-
     /// Decoded poses, with frames and radial scale as at the start.
     fn steady_track(&self, changes: &[Change]) -> PoseTrack {
-        let seen = self.seen_changes(changes);
+        let seen = self.all_seen(changes);
         let AlignedSamples { corrected, t_s, .. } = &self.found.aligned;
         let steady = |(is, &t_s): (&Pose, &f64)| {
             let pose = self.steady_pose(&seen, TO_START, &[Vector6::zeros(); 2], is, t_s);
@@ -261,22 +242,20 @@ impl<'a> Stream<'a> {
 
     /// The stream without these changes and constant changes of its frames, in the samples that are fitted.
     fn without(&self, changes: &[Change], constant: &[Vector6<f64>; 2]) -> Self {
-        let seen = self.seen_changes(changes);
+        let seen = self.all_seen(changes);
         let chain = self.columns.chain;
         let dof = chain.dof();
+        let zeros: Vec<&Change> = seen.iter().filter(|it| it.subject.stream().is_none()).collect();
         let mut aligned = self.found.aligned.clone();
         for row in self.columns.rows() {
             let t_s = aligned.t_s[row];
             aligned.corrected[row] =
                 self.steady_pose(&seen, TO_MIDDLE, constant, &aligned.corrected[row], t_s);
-            let mut turned = false;
-            for (change, seen) in seen.iter().filter(|it| it.0.subject.stream().is_none()) {
-                let joint = seen.columns.start - ZEROS;
-                aligned.q_at_truth[row * dof + joint] += seen.profile.factor(t_s) * change.half[0];
-                turned = true;
-            }
-            if turned {
-                let q = &aligned.q_at_truth[row * dof..(row + 1) * dof];
+            if !zeros.is_empty() {
+                let q = &mut aligned.q_at_truth[row * dof..(row + 1) * dof];
+                for zero in &zeros {
+                    q[zero.columns.start - ZEROS] += zero.profile.factor(t_s) * zero.half[0];
+                }
                 aligned.fk_at_truth[row] = chain.forward(q);
             }
         }
@@ -347,18 +326,13 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// Joint fit of several changes. Unobservable directions stay zero.
-struct Fit {
-    /// Increments of half of each change, in its columns, and of its profile.
-    changes: Vec<(DVector<f64>, Vec<f64>)>,
-    /// Increments of the constant reference and tool of each stream: twists.
-    frames: Vec<[Vector6<f64>; 2]>,
-}
-
 /// Equations of several changes and the constant causes of all streams. The constant causes of each stream
 /// come first, then the changes.
 struct Equations {
     shared: SharedEquations,
+    normal: Normal,
+    /// First parameter of each stream.
+    streams: Vec<usize>,
     /// Parameters of each change: of its amount, then of its profile.
     changes: Vec<Range<usize>>,
 }
@@ -367,94 +341,62 @@ impl Equations {
     /// `streams` are without the changes so far. `noise` gives the weights of each stream's samples; without it, they are
     /// from the residuals.
     fn new(streams: &[Stream], changes: &[Change], noise: Option<&[Vec<Weight>]>) -> Self {
-        let constant: usize = streams.iter().map(|stream| stream.columns.constant()).sum();
-        let mut width = constant;
-        let of_change = |change: &Change| {
-            width += change.width();
-            width - change.width()..width
+        let mut width = 0;
+        let mut next = |own: usize| {
+            width += own;
+            width - own..width
         };
-        let of_changes: Vec<Range<usize>> = changes.iter().map(of_change).collect();
+        let of_streams: Vec<_> =
+            streams.iter().map(|stream| next(stream.columns.constant())).collect();
+        let of_changes: Vec<_> = changes.iter().map(|change| next(change.width())).collect();
         let mut prior = DMatrix::zeros(width, width);
-        let mut start = 0;
         let equations = |(index, stream): (usize, &Stream)| {
-            let seen = changes.iter().zip(&of_changes);
-            let seen =
-                seen.filter_map(|(change, at)| Some(((change, stream.seen(change)?), at.clone())));
-            let (seen, seen_at): (Vec<_>, Vec<Range<usize>>) = seen.unzip();
-            let linear = stream.linearize(&seen);
+            let own = of_streams[index].clone();
+            prior
+                .view_mut((own.start, own.start), (own.len(), own.len()))
+                .copy_from(&stream.columns.prior());
+            let (mut parameters, mut variable) = (Vec::from_iter(own), Vec::new());
+            for (change, at) in changes.iter().zip(&of_changes) {
+                if let Some(seen) = stream.seen(change) {
+                    parameters.extend(at.clone());
+                    variable.extend(stream.columns_of(&seen));
+                }
+            }
+            let linear = stream.columns.linearize(&variable);
             let of_residuals = || {
                 let first = stream.columns.fit(&linear, &linear.first_weights());
                 linear.weights_after(first.as_slice())
             };
             let weights = noise.map_or_else(of_residuals, |noise| noise[index].clone());
-            let own = stream.columns.constant();
-            prior.view_mut((start, start), (own, own)).copy_from(&stream.columns.prior());
-            start += own;
-            let parameters = (start - own..start).chain(seen_at.into_iter().flatten()).collect();
             StreamEquations { linear, weights, parameters }
         };
-        let streams = streams.iter().enumerate().map(equations).collect();
-        Self { shared: SharedEquations { streams, prior }, changes: of_changes }
-    }
-
-    /// Covariance of each change: of half of its amount, then of its profile.
-    fn covariances(&self) -> Vec<DMatrix<f64>> {
-        let covariance = self.shared.covariance();
-        let own = |parameters: &Range<usize>| {
-            let (start, len) = (parameters.start, parameters.len());
-            covariance.view((start, start), (len, len)).into_owned()
-        };
-        self.changes.iter().map(own).collect()
-    }
-
-    fn fit(&self, streams: &[Stream], changes: &[Change]) -> Fit {
-        let step = self.shared.normal().full_step();
-        let of_change = |(own, change): (&Range<usize>, &Change)| {
-            let (half, profile) = step.as_slice()[own.clone()].split_at(change.columns.len());
-            (DVector::from_column_slice(half), profile.to_vec())
-        };
-        let twist = |first: usize| step.fixed_rows::<6>(first).into_owned();
-        let mut start = 0;
-        let frames = streams.iter().map(|stream| {
-            let first = start;
-            start += stream.columns.constant();
-            [twist(first), twist(first + 6)]
-        });
-        Fit {
-            frames: frames.collect(),
-            changes: self.changes.iter().zip(changes).map(of_change).collect(),
-        }
-    }
-
-    /// Degrees of freedom of the residuals.
-    fn dof(&self) -> f64 {
-        let normal = self.shared.normal();
-        (normal.independent - normal.right.len() as f64).max(3.0)
+        let shared = streams.iter().enumerate().map(equations).collect();
+        let shared = SharedEquations { streams: shared, prior };
+        let streams = of_streams.iter().map(|own| own.start).collect();
+        Self { normal: shared.normal(), shared, streams, changes: of_changes }
     }
 
     /// The change whose removal adds the least cost.
     fn least_needed(&self, changes: &[Change]) -> Option<usize> {
-        let normal = self.shared.normal();
-        let cost_without = |at: &usize| {
-            let own = &self.changes[*at];
-            let mut values = DVector::zeros(normal.right.len());
-            let half = &changes[*at].half;
+        let cost_without = |at: usize| {
+            let own = &self.changes[at];
+            let mut values = DVector::zeros(self.normal.right.len());
+            let half = &changes[at].half;
             values.rows_mut(own.start, half.len()).copy_from(half);
             let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
-            normal.cost_after(&normal.step(&values, &others))
+            self.normal.cost_after(&self.normal.step(&values, &others))
         };
-        let costs = (0..changes.len()).map(|at| (at, cost_without(&at)));
+        let costs = (0..changes.len()).map(|at| (at, cost_without(at)));
         costs.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at)
     }
 
     /// Twice the log likelihood, minus the price of the changes.
     fn score(&self, changes: &[Change]) -> f64 {
-        let normal = self.shared.normal();
-        let parameters = changes.iter().map(|change| change.columns.len()).sum::<usize>();
-        let of_profiles = changes.iter().map(|change| change.profile.parameters()).sum::<usize>();
-        let price = price(normal.independent) * (parameters + of_profiles) as f64;
+        let parameters = |change: &Change| change.columns.len() + change.profile.parameters();
+        let count = changes.iter().map(parameters).sum::<usize>();
         let of_prior = changes.iter().map(Change::prior_cost).sum::<f64>();
-        -normal.cost_after(&normal.full_step()) - price - of_prior
+        let cost = self.normal.cost_after(&self.normal.full_step());
+        -cost - price(self.normal.independent) * count as f64 - of_prior
     }
 }
 
@@ -504,7 +446,7 @@ impl RecordedJumps {
     }
 }
 
-/// Several changes with their amounts.
+/// Several changes with their amounts. Unobservable directions stay zero.
 #[derive(Clone)]
 struct Candidate {
     changes: Vec<Change>,
@@ -513,6 +455,10 @@ struct Candidate {
 }
 
 impl Candidate {
+    fn new(changes: Vec<Change>, streams: &[Stream]) -> Self {
+        Self { changes, frames: vec![[Vector6::zeros(); 2]; streams.len()] }
+    }
+
     /// The streams without the changes.
     fn steady<'a>(&self, streams: &[Stream<'a>]) -> Vec<Stream<'a>> {
         let pairs = streams.iter().zip(&self.frames);
@@ -527,27 +473,37 @@ impl Candidate {
 
     fn fitted(mut self, streams: &[Stream]) -> Self {
         const MAX_STEPS: usize = 8;
-        /// Step of a profile, in parts of the run, and of an amount, relative to it, that end the fit.
-        const MIN_PROFILE_STEP: f64 = 2e-3;
-        const MIN_RELATIVE_STEP: f64 = 1e-3;
         for _ in 0..MAX_STEPS {
-            let steady = self.steady(streams);
-            let fit = Equations::new(&steady, &self.changes, None).fit(&steady, &self.changes);
-            for (it, (half, profile)) in self.changes.iter_mut().zip(&fit.changes) {
-                it.half += half;
-                it.profile = it.profile.stepped(profile);
-            }
-            let all = self.frames.iter_mut().flatten();
-            all.zip(fit.frames.iter().flatten()).for_each(|(it, more)| *it += more);
-            let is_small = |(it, (half, profile)): (&Change, &(DVector<f64>, Vec<f64>))| {
-                half.norm() <= MIN_RELATIVE_STEP * it.half.norm()
-                    && profile.iter().all(|by| by.abs() < MIN_PROFILE_STEP)
-            };
-            if self.changes.iter().zip(&fit.changes).all(is_small) {
+            if self.step(&self.steady(streams)) {
                 break;
             }
         }
         self
+    }
+
+    /// A step of the fit to the streams without the changes so far. Whether it is small.
+    fn step(&mut self, steady: &[Stream]) -> bool {
+        /// Of a profile, in parts of the run, and of an amount, relative to it.
+        const MIN_PROFILE_STEP: f64 = 2e-3;
+        const MIN_RELATIVE_STEP: f64 = 1e-3;
+        let equations = Equations::new(steady, &self.changes, None);
+        let step = equations.normal.full_step();
+        for (frames, first) in self.frames.iter_mut().zip(&equations.streams) {
+            for (twist, frame) in frames.iter_mut().zip(Frame::BOTH) {
+                *twist += step.fixed_rows::<6>(first + frame.columns().start);
+            }
+        }
+        let mut is_small = true;
+        for (change, own) in self.changes.iter_mut().zip(equations.changes) {
+            let own = step.rows(own.start, own.len());
+            let (half, profile) = own.as_slice().split_at(change.half.len());
+            let half = DVector::from_column_slice(half);
+            change.half += &half;
+            change.profile = change.profile.stepped(profile);
+            is_small &= half.norm() <= MIN_RELATIVE_STEP * change.half.norm()
+                && profile.iter().all(|by| by.abs() < MIN_PROFILE_STEP);
+        }
+        is_small
     }
 
     /// With changes of tools in the place of those of references, which are rarer. `None` without such changes, or if a tool
@@ -620,8 +576,7 @@ impl Fitted {
 /// tenths of the run, because the residual still contains the other changes.
 fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &mut Vec<Fitted>) {
     const MAX_CHANGES: usize = 4;
-    let frames = vec![[Vector6::zeros(); 2]; streams.len()];
-    let mut current = Candidate { changes: Vec::new(), frames };
+    let mut current = Candidate::new(Vec::new(), streams);
     loop {
         let steady = current.steady(streams);
         let equations = Equations::new(&steady, &current.changes, None);
@@ -688,10 +643,10 @@ fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal
     const MIN_RELATIVE_STEP: f64 = 0.02;
     for _ in 0..MAX_ROUNDS {
         let steady = Stream::all(run, &removal.after);
-        let mut more = removal.changes.clone();
-        more.iter_mut().for_each(|change| change.half.fill(0.0));
-        let fit = Equations::new(&steady, &more, None).fit(&steady, &more);
-        more.iter_mut().zip(fit.changes).for_each(|(change, (half, _))| change.half = half);
+        let mut more = Candidate::new(removal.changes.clone(), &steady);
+        more.changes.iter_mut().for_each(|change| change.half.fill(0.0));
+        more.step(&steady);
+        let more = more.changes;
         let norm = |changes: &[Change]| -> f64 {
             changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
         };
@@ -802,10 +757,12 @@ impl Removal {
             false => return None,
         };
         let equations = Equations::new(&streams, &changes, None);
-        let (dof, covariances) = (equations.dof(), equations.covariances());
-        for (change, covariance) in changes.iter().zip(&covariances) {
-            let amounts = change.columns.len();
-            let covariance = &covariance.view((0, 0), (amounts, amounts)).into_owned();
+        let dof = equations.normal.dof(equations.normal.right.len());
+        let covariance = equations.shared.covariance();
+        for (change, own) in changes.iter().zip(&equations.changes) {
+            // Of half of its amount.
+            let amounts = (change.columns.len(), change.columns.len());
+            let covariance = &covariance.view((own.start, own.start), amounts).into_owned();
             let std_error = 2.0 * covariance[(0, 0)].sqrt();
             let size = Measured { value: 2.0 * change.half[0], std_error, dof };
             let is_significant = match change.subject {

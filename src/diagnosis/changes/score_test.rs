@@ -5,6 +5,7 @@
 //! instability and structural change with unknown change point*, 1993), as do those of ramps and of changes that settle. A
 //! change must pay for its parameters, and for the times and the time constant of its profile.
 
+use super::cause_changes::Change;
 use super::jumps::Jump;
 use super::profile::{Profile, Shape};
 use crate::priors::price;
@@ -27,12 +28,6 @@ fn causes(columns: &CauseColumns) -> Vec<Range<usize>> {
     ];
     let others = (LATENCY..columns.zeros().end).map(|column| column..column + 1);
     frames.into_iter().chain(others).collect()
-}
-
-#[derive(Clone)]
-pub(super) struct ColumnChange {
-    pub profile: Profile,
-    pub columns: Range<usize>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,8 +72,9 @@ impl ChangeKind {
     ];
 }
 
-/// A change with its score: the reduction of the cost beyond constant causes, minus the price of the change.
-type Scored = (ColumnChange, f64);
+/// A change of these columns with its score: the reduction of the cost beyond constant causes, minus the price of the
+/// change.
+type Scored = (Profile, Range<usize>, f64);
 
 struct ScoreTest<'a> {
     columns: &'a CauseColumns<'a>,
@@ -236,12 +232,12 @@ impl<'a> ScoreTest<'a> {
         let run_s = [*self.t_s.first()?, *self.t_s.last()?];
         let profile = Profile::Drift { run_s, shape };
         let (of, score) = self.likeliest(|t_s| profile.factor(t_s), profile.parameters())?;
-        Some((shape, (ColumnChange { profile, columns: self.causes[of].clone() }, score)))
+        Some((shape, (profile, self.causes[of].clone(), score)))
     }
 
     /// The likeliest gradual change.
     fn likeliest_drift(&self) -> Option<Scored> {
-        let likelier = |a: &(Shape, Scored), b: &(Shape, Scored)| a.1.1.total_cmp(&b.1.1);
+        let likelier = |a: &(Shape, Scored), b: &(Shape, Scored)| a.1.2.total_cmp(&b.1.2);
         let mut best = Shape::coarse().filter_map(|shape| self.scored(shape)).max_by(likelier)?;
         /// Of the distance between coarse shapes; the fit of the amounts refines the rest.
         const SMALLEST_PART: f64 = 0.2;
@@ -272,7 +268,7 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
 /// The likeliest change of the stream, in addition to those found and in the linearisation, if the likelihood justifies one.
 pub(super) fn likeliest_change(
     columns: &CauseColumns,
-    found: &[ColumnChange],
+    found: &[Change],
     (linear, weights): (&Linear, &[Weight]),
     kind: ChangeKind,
 ) -> Option<Scored> {
@@ -280,11 +276,11 @@ pub(super) fn likeliest_change(
     test.causes.retain(|cause| kind.causes.contains(cause, columns));
     let drift = kind.with_drifts.then(|| test.likeliest_drift()).flatten();
     let all = drift.into_iter().chain(likeliest_step(&test, found));
-    all.filter(|(_, score)| *score > 0.0).max_by(|a, b| a.1.total_cmp(&b.1))
+    all.filter(|(.., score)| *score > 0.0).max_by(|a, b| a.2.total_cmp(&b.2))
 }
 
 /// The strength of a step is relative to the price of its parameters.
-fn likeliest_step<'a>(test: &ScoreTest, found: &'a [ColumnChange]) -> Option<Scored> {
+fn likeliest_step<'a>(test: &ScoreTest, found: &'a [Change]) -> Option<Scored> {
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
     /// Between the samples tested first.
@@ -293,7 +289,7 @@ fn likeliest_step<'a>(test: &ScoreTest, found: &'a [ColumnChange]) -> Option<Sco
     let last = t_s.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
     let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
     let sample_at = |at_s: f64| (0..t_s.len()).find(|sample| t_s[*sample] >= at_s);
-    let at = |it: &'a ColumnChange| Some((sample_at(it.profile.step()?.at_s)?, &it.columns));
+    let at = |it: &'a Change| Some((sample_at(it.profile.step()?.at_s)?, &it.columns));
     let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
     let gains = test.gains_of_steps(&candidates);
     let (_, near, ..) = test.likeliest_step_of(&candidates, &gains, &found)?;
@@ -314,7 +310,7 @@ fn likeliest_step<'a>(test: &ScoreTest, found: &'a [ColumnChange]) -> Option<Sco
         within_s: 0.5 * (t_s[*last] - t_s[first - 1]),
         strength: gain / (test.price * (columns.len() + 1) as f64),
     });
-    Some((ColumnChange { profile, columns }, score))
+    Some((profile, columns, score))
 }
 
 #[cfg(test)]
@@ -347,7 +343,7 @@ mod tests {
         let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
-        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::ALL[0])?.0.profile.step()
+        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::ALL[0])?.0.step()
     }
 
     #[test]
