@@ -85,11 +85,7 @@ impl JointDiagnosis {
         if !self.compliance.is_empty() {
             apply_compliance(&mut track, &self.compliance);
         }
-        let offset = |offset: &JointOffset| match &offset.offset {
-            Ok(measured) if offset.is_chosen => measured.value,
-            _ => 0.0,
-        };
-        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        let mut offsets: Vec<f64> = self.offsets.iter().map(JointOffset::chosen).collect();
         for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
             offsets[scale.column] = scale.offset;
         }

@@ -26,8 +26,8 @@ use crate::residuals::comparison::{has_slow_residual, residual_m, restore_record
 use crate::selection::evidence::likeliest;
 use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
 use crate::{
-    AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, PoseDiagnosis,
-    PoseStream,
+    AlignedSamples, ArmDiagnosis, Confounder, FrameCorrection, FrameEstimate, JointOffset,
+    PoseDiagnosis, PoseStream,
 };
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::stats::{Measured, MeasuredLength};
@@ -668,15 +668,16 @@ fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal
     removal
 }
 
-/// Offset of a joint's zero relative to the start.
-fn zero_offset<'a>(changes: impl Iterator<Item = &'a Change>, column: usize, t_s: f64) -> f64 {
-    let own = changes.filter(|change| change.subject == Subject::Zero { column });
+/// Value of a joint's zero or a radial scale relative to the start.
+fn value_at<'a>(changes: impl Iterator<Item = &'a Change>, subject: Subject, t_s: f64) -> f64 {
+    let own = changes.filter(|change| change.subject == subject);
     own.map(|change| (change.profile.factor(t_s) + TO_START) * change.half[0]).sum()
 }
 
 /// Spans between steps of a joint's zero, or in which it changes linearly.
 fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
-    let own = changes.iter().filter(|change| change.subject == Subject::Zero { column });
+    let subject = Subject::Zero { column };
+    let own = changes.iter().filter(|change| change.subject == subject);
     let mut knots: Vec<f64> = own.flat_map(|change| change.profile.knots_s()).collect();
     knots.sort_by(f64::total_cmp);
     let starts = std::iter::once(f64::NEG_INFINITY).chain(knots.iter().copied());
@@ -684,7 +685,7 @@ fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
     let span = |(from_s, to_s): (f64, f64)| {
         // A step at the end belongs to the next span.
         let [offset, last] =
-            [from_s, to_s.next_down()].map(|t_s| zero_offset(changes.iter(), column, t_s));
+            [from_s, to_s.next_down()].map(|t_s| value_at(changes.iter(), subject, t_s));
         let span_s = to_s - from_s;
         let rate = if span_s.is_finite() && span_s > 0.0 { (last - offset) / span_s } else { 0.0 };
         JointPatch { offset, rate, ..JointPatch::unchanged(column, from_s, to_s) }
@@ -765,6 +766,7 @@ impl Removal {
             let covariance = &covariance.view((own.start, own.start), amounts).into_owned();
             let std_error = 2.0 * covariance[(0, 0)].sqrt();
             let size = Measured { value: 2.0 * change.half[0], std_error, dof };
+            let differs = |size: &Measured| size.value.abs() > size.half_width(confidence);
             let is_significant = match change.subject {
                 Subject::Frame { stream, frame } => {
                     let stream = streams.iter().find(|it| it.index == stream)?;
@@ -773,7 +775,6 @@ impl Removal {
                     if translation_m.value < MODEL_ERROR_M && rotation_rad.value < MODEL_ERROR_RAD {
                         continue;
                     }
-                    let differs = |size: &Measured| size.value > size.half_width(confidence);
                     let is_significant = differs(translation_m) || differs(rotation_rad);
                     let stream = &mut after.streams[stream.index];
                     match frame {
@@ -787,15 +788,16 @@ impl Removal {
                     let base = stream.radial_scale.as_ref().ok();
                     let base = base.filter(|_| stream.is_radial_scale_chosen);
                     let at_start = base.map_or(0.0, |base| base.value);
-                    let to = at_start + size.value;
-                    let change = change.profile.change_point(at_start, to, size);
-                    stream.radial_scale_changes.push(change);
-                    size.value.abs() > size.half_width(confidence)
+                    let reported = report_value(change, at_start, size, &changes);
+                    stream.radial_scale_changes.push(reported);
+                    differs(&size)
                 }
                 Subject::Zero { column } => {
-                    let zero = Some(report_zero(change, column, size, &changes, &found));
+                    let at_start =
+                        after.joints.offsets.get(column).map_or(0.0, JointOffset::chosen);
+                    let zero = Some(report_value(change, at_start, size, &changes));
                     after.joints.changes.push(JointChange { column, zero, factor: None });
-                    size.value.abs() > size.half_width(confidence)
+                    differs(&size)
                 }
             };
             if !is_significant {
@@ -806,11 +808,6 @@ impl Removal {
             stream.reference_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
             stream.tool_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
             stream.radial_scale_changes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-            for later in 1..stream.radial_scale_changes.len() {
-                let from = stream.radial_scale_changes[later - 1].to;
-                let next = &mut stream.radial_scale_changes[later];
-                (next.from, next.to) = (from, from + next.size.value);
-            }
             let is_own = changes.iter().any(|change| change.subject.stream() == Some(s));
             if is_own {
                 keep_encoding(&before.streams[s], stream);
@@ -836,18 +833,11 @@ fn depends_on_configuration(found: &PoseDiagnosis) -> bool {
     found.residual.as_ref().is_ok_and(|it| exceeds(&it.excess_m) || exceeds(&it.excess_rad))
 }
 
-fn report_zero(
-    change: &Change,
-    column: usize,
-    size: Measured,
-    all: &[Change],
-    found: &ArmDiagnosis,
-) -> ScalarChange {
+/// A change of a joint's zero or a radial scale as reported.
+fn report_value(change: &Change, at_start: f64, size: Measured, all: &[Change]) -> ScalarChange {
     let (at_s, _) = change.profile.interval_s();
-    let base = found.joints.offsets.get(column).filter(|offset| offset.is_chosen);
-    let base = base.and_then(|offset| offset.offset.as_ref().ok()).map_or(0.0, |it| it.value);
     let others = all.iter().filter(|other| other.profile != change.profile);
-    let from = base + zero_offset(others, column, at_s);
+    let from = at_start + value_at(others, change.subject, at_s);
     change.profile.change_point(from, from + size.value, size)
 }
 

@@ -34,12 +34,9 @@ struct Causes {
 
 impl Causes {
     fn new(segment: &Segment) -> Self {
-        let zero = |offset: &JointOffset| {
-            offset.offset.as_ref().ok().filter(|_| offset.is_chosen).map_or(0.0, |it| it.value)
-        };
         Self {
             frames: segment.found.streams.iter().map(|found| found.frame_correction).collect(),
-            zeros: segment.found.joints.offsets.iter().map(zero).collect(),
+            zeros: segment.found.joints.offsets.iter().map(JointOffset::chosen).collect(),
         }
     }
 

@@ -185,8 +185,7 @@ impl ArmRun<'_> {
         let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
         let offsets = diagnosis.joints.offsets.iter().enumerate();
         let zeros: Vec<(usize, f64)> = offsets
-            .filter(|(_, offset)| offset.is_chosen)
-            .filter_map(|(column, offset)| Some((column, offset.offset.as_ref().ok()?.value)))
+            .map(|(column, offset)| (column, offset.chosen()))
             .filter(|(column, zero)| !self.is_prismatic[*column] && zero.abs() > MIN_ZERO_RAD)
             .collect();
         if !is_as_logged || zeros.is_empty() {

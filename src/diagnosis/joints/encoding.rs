@@ -20,6 +20,13 @@ pub struct JointOffset {
     pub held_out: Option<HeldOutResidual>,
 }
 
+impl JointOffset {
+    /// Offset in the model; 0 if the model does not contain it.
+    pub(crate) fn chosen(&self) -> f64 {
+        self.offset.as_ref().ok().filter(|_| self.is_chosen).map_or(0.0, |offset| offset.value)
+    }
+}
+
 /// Encoding of the joint states; as logged by default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointEncoding {
