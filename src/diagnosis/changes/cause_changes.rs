@@ -620,52 +620,9 @@ struct Removal {
 
 /// `None` if the unexplained residual does not fall.
 fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<Removal> {
-    let mut tracks: Vec<Option<PoseTrack>> = vec![None; run.streams.len()];
-    let changing = Stream::all(run, before);
-    take_from(&mut tracks, &changing, &changes);
-    let removal = Removal::new(run, before, tracks, changes).with_scale_of(before);
-    removal.explains_more_than(&changing, run).then(|| refined(run, before, removal))
-}
-
-/// Removes these changes of frames from the tracks of the streams.
-fn take_from(tracks: &mut [Option<PoseTrack>], streams: &[Stream], changes: &[Change]) {
-    for stream in streams {
-        if changes.iter().any(|change| change.subject.stream() == Some(stream.index)) {
-            tracks[stream.index] = Some(stream.steady_track(changes));
-        }
-    }
-}
-
-/// Refines the changes: the diagnosis without them shows the part that constant causes had absorbed.
-fn refined(run: &ArmRun, before: &ArmDiagnosis, mut removal: Removal) -> Removal {
-    const MAX_ROUNDS: usize = 2;
-    /// Relative to the changes so far; a larger step needs another diagnosis.
-    const MIN_RELATIVE_STEP: f64 = 0.02;
-    for _ in 0..MAX_ROUNDS {
-        let steady = Stream::all(run, &removal.after);
-        let mut more = Candidate::new(removal.changes.clone(), &steady);
-        more.changes.iter_mut().for_each(|change| change.half.fill(0.0));
-        more.step(&steady);
-        let more = more.changes;
-        let norm = |changes: &[Change]| -> f64 {
-            changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
-        };
-        let is_small = norm(&more) < MIN_RELATIVE_STEP * norm(&removal.changes);
-        let mut changes = removal.changes.clone();
-        changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
-        if is_small {
-            removal.changes = changes;
-            break;
-        }
-        let mut tracks = removal.tracks.clone();
-        take_from(&mut tracks, &steady, &more);
-        let next = Removal::new(run, before, tracks, changes).with_scale_of(&removal.after);
-        if !next.explains_more_than(&steady, run) {
-            break;
-        }
-        removal = next;
-    }
-    removal
+    let tracks = vec![None; run.streams.len()];
+    let removal = Removal::of_more(run, before, before, tracks, &changes, changes.clone())?;
+    Some(removal.refined(run, before))
 }
 
 /// Value of a joint's zero or a radial scale relative to the start.
@@ -694,7 +651,7 @@ fn zero_spans(changes: &[Change], column: usize) -> Vec<JointPatch> {
 }
 
 impl Removal {
-    /// `tracks` are without the changes of frames.
+    /// `tracks` are without the changes of frames and radial scales.
     fn new(
         run: &ArmRun,
         before: &ArmDiagnosis,
@@ -712,27 +669,67 @@ impl Removal {
         Self { changes, patches, tracks, after }
     }
 
-    /// Converts changes of positions, which were divided by the radial scale in `before`, to the scale without changes: a
-    /// tool that becomes longer looks like a scale.
-    fn with_scale_of(mut self, before: &ArmDiagnosis) -> Self {
-        for Change { subject, columns, half, .. } in &mut self.changes {
+    /// Removes these `changes`, of which `more` are not yet removed from the `tracks` of the diagnosis `last`. `None` if a
+    /// stream no longer follows FK, or the unexplained residual does not fall.
+    fn of_more(
+        run: &ArmRun,
+        before: &ArmDiagnosis,
+        last: &ArmDiagnosis,
+        mut tracks: Vec<Option<PoseTrack>>,
+        more: &[Change],
+        changes: Vec<Change>,
+    ) -> Option<Self> {
+        let streams = Stream::all(run, last);
+        for stream in &streams {
+            if more.iter().any(|change| change.subject.stream() == Some(stream.index)) {
+                tracks[stream.index] = Some(stream.steady_track(more));
+            }
+        }
+        let mut removal = Self::new(run, before, tracks, changes);
+        // Positions were divided by the radial scale in `last`: a tool that becomes longer looks like a scale.
+        for Change { subject, columns, half, .. } in &mut removal.changes {
             let Subject::Frame { stream, frame } = *subject else { continue };
-            let [from, to] = [before, &self.after]
+            let [from, to] = [last, &removal.after]
                 .map(|it| 1.0 + it.streams[stream].frame_correction.radial_scale);
             let lengths = columns.clone().zip(half.iter_mut());
             let lengths = lengths.filter(|(column, _)| frame.translation().contains(column));
             lengths.for_each(|(_, half)| *half *= from / to);
         }
-        self
-    }
-
-    /// Whether the same streams follow FK, with less unexplained residual.
-    fn explains_more_than(&self, before: &[Stream], run: &ArmRun) -> bool {
-        let streams = Stream::all(run, &self.after);
         let unexplained_m = |streams: &[Stream]| -> f64 {
             streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
         };
-        streams.len() >= before.len() && unexplained_m(&streams) < unexplained_m(before)
+        let after = Stream::all(run, &removal.after);
+        let explains_more =
+            after.len() >= streams.len() && unexplained_m(&after) < unexplained_m(&streams);
+        explains_more.then_some(removal)
+    }
+
+    /// Refines the changes: the diagnosis without them shows the part that constant causes had absorbed.
+    fn refined(mut self, run: &ArmRun, before: &ArmDiagnosis) -> Self {
+        const MAX_ROUNDS: usize = 2;
+        /// Relative to the changes so far; a larger step needs another diagnosis.
+        const MIN_RELATIVE_STEP: f64 = 0.02;
+        let norm = |changes: &[Change]| -> f64 {
+            changes.iter().map(|change| change.half.norm_squared()).sum::<f64>().sqrt()
+        };
+        for _ in 0..MAX_ROUNDS {
+            let steady = Stream::all(run, &self.after);
+            let mut more = Candidate::new(self.changes.clone(), &steady);
+            more.changes.iter_mut().for_each(|change| change.half.fill(0.0));
+            more.step(&steady);
+            let more = more.changes;
+            let mut changes = self.changes.clone();
+            changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
+            if norm(&more) < MIN_RELATIVE_STEP * norm(&self.changes) {
+                self.changes = changes;
+                break;
+            }
+            let tracks = self.tracks.clone();
+            let next = Self::of_more(run, before, &self.after, tracks, &more, changes);
+            let Some(next) = next else { break };
+            self = next;
+        }
+        self
     }
 
     /// The diagnosis with the changes. `None` if one of them is not significant, or a residual remains that link deviations
@@ -956,7 +953,7 @@ pub(super) fn diagnose_with_large_steps(
         steps.iter().map(|it| it.change(run, &streams)).collect::<Option<_>>()?
     };
     let removal = Removal { changes, ..removal };
-    refined(&run.arm, before, removal).reported(&run.arm, before)
+    removal.refined(&run.arm, before).reported(&run.arm, before)
 }
 
 impl LargeStep {
