@@ -76,14 +76,18 @@ impl ChangeKind {
 /// change.
 type Scored = (Profile, Range<usize>, f64);
 
+const BLOCK: usize = 16;
+
 struct ScoreTest<'a> {
     columns: &'a CauseColumns<'a>,
     causes: Vec<Range<usize>>,
     linear: &'a Linear,
     weights: &'a [Weight],
     t_s: Vec<f64>,
-    /// Consecutive samples, with their sums.
+    /// Each [`BLOCK`] samples, with their sums.
     blocks: Vec<(Range<usize>, Sums)>,
+    /// Sums over each block and those after it; zero at the end.
+    later: Vec<Sums>,
     /// Inverse of the constant causes' normal matrix.
     inverse: DMatrix<f64>,
     /// Their step.
@@ -109,20 +113,16 @@ impl Sums {
     }
 }
 
-/// Index among the causes, sample, gain and score.
-type Candidate = (usize, usize, f64, f64);
-
 impl<'a> ScoreTest<'a> {
     fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
-        const BLOCK: usize = 16;
         let normal = columns.normal_equations(linear, weights);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();
         let constant = &inverse * normal.right;
         let (causes, price) = (causes(columns), price(normal.independent));
         let t_s = columns.samples().map(|row| columns.aligned.t_s[row]).collect();
-        let blocks = Vec::new();
+        let (blocks, later) = (Vec::new(), Vec::new());
         let mut test =
-            Self { columns, causes, linear, weights, t_s, blocks, inverse, constant, price };
+            Self { columns, causes, linear, weights, t_s, blocks, later, inverse, constant, price };
         let starts = (0..linear.len()).step_by(BLOCK);
         let block = |start: usize| {
             let samples = start..(start + BLOCK).min(linear.len());
@@ -131,7 +131,14 @@ impl<'a> ScoreTest<'a> {
             (samples, sums)
         };
         test.blocks = starts.map(block).collect();
-        Some(test)
+        let mut later = vec![test.empty()];
+        for (_, own) in test.blocks.iter().rev() {
+            let mut sums = later[later.len() - 1].clone();
+            sums.add(1.0, own);
+            later.push(sums);
+        }
+        later.reverse();
+        Some(Self { later, ..test })
     }
 
     fn empty(&self) -> Sums {
@@ -168,70 +175,39 @@ impl<'a> ScoreTest<'a> {
         self.causes.iter().map(gain).collect()
     }
 
-    /// Of steps of each cause at each of these samples.
-    fn gains_of_steps(&self, samples: &[usize]) -> Vec<Vec<f64>> {
-        let (mut later, mut rest) = (self.empty(), self.blocks.as_slice());
-        let gains = samples.iter().rev().map(|&from| {
-            while let Some(((own, sums), before)) = rest.split_last()
-                && own.start >= from
-            {
-                later.add(1.0, sums);
-                rest = before;
-            }
-            let end = rest.last().map_or(0, |(own, _)| own.end);
-            let mut sums = later.clone();
-            (from..end).for_each(|sample| self.add(sample, &mut sums));
-            self.gains(&sums)
-        });
-        let mut gains: Vec<_> = gains.collect();
-        gains.reverse();
-        gains
+    /// Of a step of each cause at this sample.
+    fn gains_of_step(&self, from: usize) -> Vec<f64> {
+        let block = from.div_ceil(BLOCK);
+        let mut sums = self.later[block].clone();
+        (from..(block * BLOCK).min(self.t_s.len())).for_each(|it| self.add(it, &mut sums));
+        self.gains(&sums)
     }
 
-    /// `gains` belong to steps at these samples.
-    fn likeliest_step_of(
-        &self,
-        samples: &[usize],
-        gains: &[Vec<f64>],
-        found: &[(usize, &Range<usize>)],
-    ) -> Option<Candidate> {
-        let is_free = |of: usize, sample: usize| {
-            let overlaps = |columns: &Range<usize>| {
-                columns.start < self.causes[of].end && self.causes[of].start < columns.end
-            };
-            !found.iter().any(|&(at, columns)| {
-                at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
-            })
-        };
-        let all = samples.iter().zip(gains).flat_map(|(&sample, gains)| {
-            let scored =
-                gains.iter().copied().enumerate().filter(move |(of, _)| is_free(*of, sample));
-            // The time is a parameter, too.
-            scored.map(move |(of, gain)| (of, sample, gain, self.score(of, gain, 1)))
-        });
-        all.max_by(|a, b| a.3.total_cmp(&b.3))
+    /// Of a change of each cause, with a factor of each time that is nearly constant in a block.
+    fn gains_of_profile(&self, factor: impl Fn(f64) -> f64) -> Vec<f64> {
+        let mut sums = self.empty();
+        for (samples, own) in &self.blocks {
+            let middle_s = 0.5 * (self.t_s[samples.start] + self.t_s[samples.end - 1]);
+            sums.add(factor(middle_s), own);
+        }
+        self.gains(&sums)
     }
 
     fn score(&self, of: usize, gain: f64, profile_parameters: usize) -> f64 {
         gain - self.price * (self.causes[of].len() + profile_parameters) as f64
     }
 
-    /// Cause with the highest score, of those that change with a factor of each time that is nearly constant in a block.
-    fn likeliest(&self, factor: impl Fn(f64) -> f64, parameters: usize) -> Option<(usize, f64)> {
-        let mut sums = self.empty();
-        for (samples, own) in &self.blocks {
-            let middle_s = 0.5 * (self.t_s[samples.start] + self.t_s[samples.end - 1]);
-            sums.add(factor(middle_s), own);
-        }
-        let gains = self.gains(&sums).into_iter().enumerate();
-        let scored = gains.map(|(of, gain)| (of, self.score(of, gain, parameters)));
-        scored.max_by(|a, b| a.1.total_cmp(&b.1))
+    /// Cause with the highest score.
+    fn likeliest(&self, gains: &[f64], profile_parameters: usize) -> Option<(usize, f64)> {
+        let score = |(of, gain): (usize, &f64)| (of, self.score(of, *gain, profile_parameters));
+        gains.iter().enumerate().map(score).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     fn scored(&self, shape: Shape) -> Option<(Shape, Scored)> {
         let run_s = [*self.t_s.first()?, *self.t_s.last()?];
         let profile = Profile::Drift { run_s, shape };
-        let (of, score) = self.likeliest(|t_s| profile.factor(t_s), profile.parameters())?;
+        let gains = self.gains_of_profile(|t_s| profile.factor(t_s));
+        let (of, score) = self.likeliest(&gains, profile.parameters())?;
         Some((shape, (profile, self.causes[of].clone(), score)))
     }
 
@@ -252,6 +228,54 @@ impl<'a> ScoreTest<'a> {
         let throughout = self.scored(Shape::THROUGHOUT);
         throughout.into_iter().chain([best]).max_by(likelier).map(|(_, scored)| scored)
     }
+
+    /// The likeliest step, apart from those found. Its strength is relative to the price of its parameters.
+    fn likeliest_step(&self, found: &'a [Change]) -> Option<Scored> {
+        /// In the log-likelihood, of the 95 % interval of its time.
+        const TIME_TOLERANCE: f64 = 1.92;
+        /// Between the samples tested first.
+        const STRIDE: usize = 16;
+        let t_s = &self.t_s;
+        let inner = MIN_SEGMENT_SAMPLES..t_s.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
+        let at = |it: &'a Change| {
+            let at_s = it.profile.step()?.at_s;
+            Some((t_s.iter().position(|t_s| *t_s >= at_s)?, &it.columns))
+        };
+        let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
+        let is_free = |of: usize, sample: usize| {
+            let cause = &self.causes[of];
+            let overlaps = |it: &Range<usize>| it.start < cause.end && cause.start < it.end;
+            !found.iter().any(|&(at, columns)| {
+                at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
+            })
+        };
+        let tested = |samples: &mut dyn Iterator<Item = usize>| -> Vec<(usize, Vec<f64>)> {
+            samples.map(|sample| (sample, self.gains_of_step(sample))).collect()
+        };
+        let likeliest = |tested: &[(usize, Vec<f64>)]| {
+            let scored = tested.iter().flat_map(|(sample, gains)| {
+                let free = (0..gains.len()).filter(|of| is_free(*of, *sample));
+                // The time is a parameter, too.
+                free.map(|of| (*sample, of, gains[of], self.score(of, gains[of], 1)))
+            });
+            scored.max_by(|a, b| a.3.total_cmp(&b.3))
+        };
+        let coarse = tested(&mut inner.clone().step_by(STRIDE));
+        let (near, ..) = likeliest(&coarse)?;
+        let around = near.saturating_sub(STRIDE)..=near + STRIDE;
+        let fine = tested(&mut around.filter(|sample| inner.contains(sample)));
+        let (sample, of, gain, score) = likeliest(&fine)?;
+        let is_likely = |it: &&(usize, Vec<f64>)| it.1[of] > gain - 2.0 * TIME_TOLERANCE;
+        let likely = || coarse.iter().chain(&fine).filter(is_likely).map(|it| it.0);
+        let (first, last) = (likely().min()?, likely().max()?);
+        let columns = self.causes[of].clone();
+        let profile = Profile::Step(Jump {
+            at_s: 0.5 * (t_s[sample - 1] + t_s[sample]),
+            within_s: 0.5 * (t_s[last] - t_s[first - 1]),
+            strength: gain / (self.price * (columns.len() + 1) as f64),
+        });
+        Some((profile, columns, score))
+    }
 }
 
 /// Whether a constant joint zero is likelier than the link deviations that imitate it.
@@ -260,57 +284,23 @@ pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let weights = linear.weights_after(fit.as_slice());
     let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
         test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
-        test.likeliest(|_| 1.0, 0)
+        test.likeliest(&test.gains_of_profile(|_| 1.0), 0)
     });
     zero.is_some_and(|(_, score)| score > 0.0)
 }
 
 /// The likeliest change of the stream, in addition to those found and in the linearisation, if the likelihood justifies one.
-pub(super) fn likeliest_change(
-    columns: &CauseColumns,
-    found: &[Change],
-    (linear, weights): (&Linear, &[Weight]),
+pub(super) fn likeliest_change<'a>(
+    columns: &'a CauseColumns,
+    found: &'a [Change],
+    (linear, weights): (&'a Linear, &'a [Weight]),
     kind: ChangeKind,
 ) -> Option<Scored> {
     let mut test = ScoreTest::new(columns, linear, weights)?;
     test.causes.retain(|cause| kind.causes.contains(cause, columns));
     let drift = kind.with_drifts.then(|| test.likeliest_drift()).flatten();
-    let all = drift.into_iter().chain(likeliest_step(&test, found));
+    let all = drift.into_iter().chain(test.likeliest_step(found));
     all.filter(|(.., score)| *score > 0.0).max_by(|a, b| a.2.total_cmp(&b.2))
-}
-
-/// The strength of a step is relative to the price of its parameters.
-fn likeliest_step<'a>(test: &ScoreTest, found: &'a [Change]) -> Option<Scored> {
-    /// In the log-likelihood, of the 95 % interval of its time.
-    const TIME_TOLERANCE: f64 = 1.92;
-    /// Between the samples tested first.
-    const STRIDE: usize = 16;
-    let t_s = &test.t_s;
-    let last = t_s.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
-    let candidates: Vec<usize> = (MIN_SEGMENT_SAMPLES..last).step_by(STRIDE).collect();
-    let sample_at = |at_s: f64| (0..t_s.len()).find(|sample| t_s[*sample] >= at_s);
-    let at = |it: &'a Change| Some((sample_at(it.profile.step()?.at_s)?, &it.columns));
-    let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
-    let gains = test.gains_of_steps(&candidates);
-    let (_, near, ..) = test.likeliest_step_of(&candidates, &gains, &found)?;
-    let around: Vec<usize> = (near.saturating_sub(STRIDE)..=near + STRIDE)
-        .filter(|sample| (MIN_SEGMENT_SAMPLES..last).contains(sample))
-        .collect();
-    let gains_around = test.gains_of_steps(&around);
-    let (of, sample, gain, score) = test.likeliest_step_of(&around, &gains_around, &found)?;
-    let is_likely = |gains: &[f64]| gains[of] > gain - 2.0 * TIME_TOLERANCE;
-    let mut likely: Vec<usize> = Vec::new();
-    for (tested, gains) in [(candidates, gains), (around, gains_around)] {
-        likely.extend(tested.iter().zip(gains).filter(|it| is_likely(&it.1)).map(|it| *it.0));
-    }
-    let (first, last) = (likely.iter().min()?, likely.iter().max()?);
-    let columns = test.causes[of].clone();
-    let profile = Profile::Step(Jump {
-        at_s: 0.5 * (t_s[sample - 1] + t_s[sample]),
-        within_s: 0.5 * (t_s[*last] - t_s[first - 1]),
-        strength: gain / (test.price * (columns.len() + 1) as f64),
-    });
-    Some((profile, columns, score))
 }
 
 #[cfg(test)]
