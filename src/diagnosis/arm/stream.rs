@@ -160,7 +160,7 @@ impl StreamFit<'_> {
             return found.without_overfitted_causes();
         }
         let free = [Cause::Reference(index), Cause::Tool(index)].map(|cause| fitted.is_free(cause));
-        let [reference, tool] = frames_with_links(&found, stream.chain, free).unwrap_or_default();
+        let [reference, tool] = frames_with_links(&found, stream, free).unwrap_or_default();
         PoseDiagnosis {
             reference: reference.map_or(found.reference, Ok),
             tool: tool.map_or(found.tool, Ok),

@@ -21,7 +21,7 @@ use crate::priors::{
     FRAME_PRIOR_M, LEVER_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR,
     TOOL_PRIOR_M, ZERO_PRIOR, price,
 };
-use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS};
+use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS, shared_equations};
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::likeliest;
 use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
@@ -110,17 +110,14 @@ struct Stream<'a> {
     columns: CauseColumns<'a>,
     found: &'a PoseDiagnosis,
     index: usize,
-    /// Joint-track columns of the chain's joints.
-    joints: &'a [usize],
 }
 
 impl<'a> Stream<'a> {
     fn all(run: &ArmRun<'a>, diagnosis: &'a ArmDiagnosis) -> Vec<Self> {
         let stream = |(index, found): (usize, &'a PoseDiagnosis)| {
             found.residual.as_ref().ok()?;
-            let stream = run.streams[index];
-            let columns = CauseColumns::new(found, stream.chain).with_free_zeros();
-            Some(Self { columns, found, index, joints: stream.columns })
+            let columns = CauseColumns::new(found, &run.streams[index]).with_free_zeros();
+            Some(Self { columns, found, index })
         };
         diagnosis.streams.iter().enumerate().filter_map(stream).collect()
     }
@@ -134,10 +131,9 @@ impl<'a> Stream<'a> {
         let Subject::Zero { column } = change.subject else {
             return (change.subject.stream() == Some(self.index)).then(|| change.clone());
         };
-        let own = ZEROS + self.joints.iter().position(|own| *own == column)?;
+        let columns = self.columns.zero(column)?;
         let profile = change.profile.later(self.latency_s());
-        let is_known = self.columns.zeros().contains(&own);
-        is_known.then(|| Change { profile, columns: own..own + 1, ..change.clone() })
+        Some(Change { profile, columns, ..change.clone() })
     }
 
     fn all_seen(&self, changes: &[Change]) -> Vec<Change> {
@@ -150,7 +146,7 @@ impl<'a> Stream<'a> {
         let subject = match Frame::of(&columns) {
             Some(frame) => Subject::Frame { stream, frame },
             None if columns.start == RADIAL_SCALE => Subject::RadialScale { stream },
-            None => Subject::Zero { column: self.joints[columns.start.checked_sub(ZEROS)?] },
+            None => Subject::Zero { column: self.columns.joint_column(columns.start)? },
         };
         // Joint zeros change by the joints' stamps.
         let late_s = if subject.stream().is_none() { self.latency_s() } else { 0.0 };
@@ -167,14 +163,18 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// Columns of the amount of a change that is seen, then of the parameters of its profile.
-    fn columns_of(&self, seen: &Change) -> Vec<VariableColumns> {
-        let Change { columns, profile, half, .. } = seen;
-        let of_profile = (0..seen.width() - columns.len()).map(|parameter| VariableColumns {
-            along: Some(half.clone()),
-            ..self.variable(columns, |t_s| profile.derivatives(t_s)[parameter])
+    /// Columns of the amount of a change, then of the parameters of its profile, each with its parameter. The first is
+    /// `first`.
+    fn columns_of(&self, change: &Change, first: usize) -> Vec<(usize, VariableColumns)> {
+        let Some(Change { columns, profile, half, .. }) = self.seen(change) else {
+            return Vec::new();
+        };
+        let of_amount = columns.len();
+        let of_profile = (0..change.width() - of_amount).map(|parameter| {
+            let variable = self.variable(&columns, |t_s| profile.derivatives(t_s)[parameter]);
+            (first + of_amount + parameter, VariableColumns { along: Some(half.clone()), ..variable })
         });
-        let amount = self.variable(columns, |t_s| profile.factor(t_s));
+        let amount = (first, self.variable(&columns, |t_s| profile.factor(t_s)));
         std::iter::once(amount).chain(of_profile).collect()
     }
 
@@ -326,13 +326,10 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// Equations of several changes and the constant causes of all streams. The constant causes of each stream
-/// come first, then the changes.
+/// Equations of several changes and the constant causes of all streams.
 struct Equations {
     shared: SharedEquations,
     normal: Normal,
-    /// First parameter of each stream.
-    streams: Vec<usize>,
     /// Parameters of each change: of its amount, then of its profile.
     changes: Vec<Range<usize>>,
 }
@@ -342,38 +339,28 @@ impl Equations {
     /// from the residuals.
     fn new(streams: &[Stream], changes: &[Change], noise: Option<&[Vec<Weight>]>) -> Self {
         let mut width = 0;
-        let mut next = |own: usize| {
-            width += own;
-            width - own..width
+        let parameters = |change: &Change| {
+            width += change.width();
+            width - change.width()..width
         };
-        let of_streams: Vec<_> =
-            streams.iter().map(|stream| next(stream.columns.constant())).collect();
-        let of_changes: Vec<_> = changes.iter().map(|change| next(change.width())).collect();
-        let mut prior = DMatrix::zeros(width, width);
-        let equations = |(index, stream): (usize, &Stream)| {
-            let own = of_streams[index].clone();
-            prior
-                .view_mut((own.start, own.start), (own.len(), own.len()))
-                .copy_from(&stream.columns.prior());
-            let (mut parameters, mut variable) = (Vec::from_iter(own), Vec::new());
-            for (change, at) in changes.iter().zip(&of_changes) {
-                if let Some(seen) = stream.seen(change) {
-                    parameters.extend(at.clone());
-                    variable.extend(stream.columns_of(&seen));
+        let of_changes: Vec<Range<usize>> = changes.iter().map(parameters).collect();
+        let columns = streams.iter().map(|stream| {
+            let all = changes.iter().zip(&of_changes);
+            let variable = all.flat_map(|(change, own)| stream.columns_of(change, own.start));
+            (&stream.columns, variable.collect())
+        });
+        let mut shared = shared_equations(width, columns);
+        for (index, equations) in shared.streams.iter_mut().enumerate() {
+            let StreamEquations { linear, weights, .. } = equations;
+            *weights = match noise {
+                Some(noise) => noise[index].clone(),
+                None => {
+                    let first = streams[index].columns.fit(linear, weights);
+                    linear.weights_after(first.as_slice())
                 }
-            }
-            let linear = stream.columns.linearize(&variable);
-            let of_residuals = || {
-                let first = stream.columns.fit(&linear, &linear.first_weights());
-                linear.weights_after(first.as_slice())
             };
-            let weights = noise.map_or_else(of_residuals, |noise| noise[index].clone());
-            StreamEquations { linear, weights, parameters }
-        };
-        let shared = streams.iter().enumerate().map(equations).collect();
-        let shared = SharedEquations { streams: shared, prior };
-        let streams = of_streams.iter().map(|own| own.start).collect();
-        Self { normal: shared.normal(), shared, streams, changes: of_changes }
+        }
+        Self { normal: shared.normal(), shared, changes: of_changes }
     }
 
     /// The change whose removal adds the least cost.
@@ -488,9 +475,10 @@ impl Candidate {
         const MIN_RELATIVE_STEP: f64 = 1e-3;
         let equations = Equations::new(steady, &self.changes, None);
         let step = equations.normal.full_step();
-        for (frames, first) in self.frames.iter_mut().zip(&equations.streams) {
+        for (frames, stream) in self.frames.iter_mut().zip(&equations.shared.streams) {
+            let constant = stream.own_part(&step);
             for (twist, frame) in frames.iter_mut().zip(Frame::BOTH) {
-                *twist += step.fixed_rows::<6>(first + frame.columns().start);
+                *twist += Vector6::from_column_slice(&constant[frame.columns()]);
             }
         }
         let mut is_small = true;
@@ -742,7 +730,7 @@ impl Removal {
         const MAX_RESIDUAL_SHARE: f64 = 0.5;
         let is_explained = |stream: &Stream| {
             let seen = changes.iter().any(|change| stream.seen(change).is_some());
-            let columns = CauseColumns::new(stream.found, stream.columns.chain);
+            let columns = CauseColumns::new(stream.found, &run.streams[stream.index]);
             !seen || !has_slow_residual(stream.found) || !columns.has_unexplained_residual()
         };
         let is_noise = || {

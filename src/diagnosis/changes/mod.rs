@@ -40,7 +40,7 @@ impl ArmDiagnosis {
 /// Whether noise, usual link deviations and constant frames explain the residual of a stream.
 pub(super) fn is_explained(diagnosis: &PoseDiagnosis, stream: &PoseStream) -> bool {
     let are_links_enough = || {
-        let columns = CauseColumns::new(diagnosis, stream.chain);
+        let columns = CauseColumns::new(diagnosis, stream);
         let is_far = diagnosis.residual.is_err() || diagnosis.is_far_from_fk();
         !is_far && !columns.has_unexplained_residual() && !has_unusual_zero(&columns)
     };

@@ -330,7 +330,7 @@ mod tests {
         let track = test_motion::pose_track(&t_s, poses);
         let stream = test_motion::tip_stream(&track, &chain);
         let diagnosis = diagnose_arm(&joints, &[stream], 1.0);
-        let columns = CauseColumns::new(&diagnosis.streams[0], &chain);
+        let columns = CauseColumns::new(&diagnosis.streams[0], &stream);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
         likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::ALL[0])?.0.step()

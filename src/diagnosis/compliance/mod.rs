@@ -18,7 +18,7 @@ use crate::arm_run::ArmRun;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
 use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
-use crate::residuals::cause_columns::{CauseColumns, ZEROS};
+use crate::residuals::cause_columns::CauseColumns;
 use crate::residuals::comparison::{has_large_residual, restore_recorded};
 use crate::samples::sampling::FkSequence;
 use crate::selection::evidence::{likeliest, log_bayes_factor};
@@ -42,22 +42,12 @@ const MAX_ROUNDS: usize = 3;
 /// Residual of a stream under a diagnosis, and the reported joint states at its samples.
 struct StreamSamples<'a> {
     columns: CauseColumns<'a>,
-    /// Joint-track columns of the chain's joints.
-    joints: &'a [usize],
     /// Reported, all joints of the track.
     q: Vec<Vec<f64>>,
     /// Velocities of all joints.
     qd: Vec<Vec<f64>>,
     /// Row of the joint track before the sample, and fraction to the next.
     at: Vec<(usize, f64)>,
-}
-
-impl StreamSamples<'_> {
-    /// Joint of the chain with this column of the track.
-    fn joint(&self, column: usize) -> Option<usize> {
-        let joint = self.joints.iter().position(|own| *own == column)?;
-        self.columns.zeros().contains(&(ZEROS + joint)).then_some(joint)
-    }
 }
 
 /// `diagnosis` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
@@ -323,7 +313,7 @@ impl ArmRun<'_> {
         diagnosis: &'b PoseDiagnosis,
     ) -> StreamSamples<'b> {
         let truth_s = self.truth_s(stream, diagnosis);
-        let columns = CauseColumns::new(diagnosis, stream.chain).with_free_zeros();
+        let columns = CauseColumns::new(diagnosis, stream).with_free_zeros();
         let (mut all, mut all_qd, mut at) = (Vec::new(), Vec::new(), Vec::new());
         let mut sequence = self.joints.sequence();
         for row in columns.samples() {
@@ -339,6 +329,6 @@ impl ArmRun<'_> {
             all_qd.push(qd.to_vec());
             at.push((row, part));
         }
-        StreamSamples { columns, joints: stream.columns, q: all, qd: all_qd, at }
+        StreamSamples { columns, q: all, qd: all_qd, at }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::StreamSamples;
 use crate::priors::ZERO_PRIOR;
-use crate::residuals::cause_columns::{VariableColumns, ZEROS};
+use crate::residuals::cause_columns::{VariableColumns, shared_equations};
 use crate::solver::linear::{Normal, SharedEquations, StreamEquations};
 use nalgebra::{DMatrix, DVector};
 
@@ -22,30 +22,17 @@ pub(super) struct ComplianceSystem {
 }
 
 impl ComplianceSystem {
-    pub fn new(samples: &[StreamSamples], coefficients: &[Coefficient]) -> Self {
-        let constant: usize = samples.iter().map(|stream| stream.columns.constant()).sum();
-        let mut width = coefficients.len();
-        let mut prior = DMatrix::<f64>::zeros(width + constant, width + constant);
-        (0..width).for_each(|at| prior[(at, at)] = ZERO_PRIOR.powi(-2));
-        let of_stream = |(s, stream): (usize, &StreamSamples)| {
-            let (mut seen, mut variable) = (Vec::new(), Vec::new());
-            for (parameter, Coefficient { column, profiles }) in coefficients.iter().enumerate() {
-                if let Some(joint) = stream.joint(*column) {
-                    seen.push(parameter);
-                    let columns = ZEROS + joint..ZEROS + joint + 1;
-                    let factors = profiles[s].clone();
-                    variable.push(VariableColumns { columns, factors, along: None });
-                }
-            }
-            let (first, own) = (width, stream.columns.constant());
-            width += own;
-            prior.view_mut((first, first), (own, own)).copy_from(&stream.columns.prior());
-            let linear = stream.columns.linearize(&variable);
-            let parameters = (first..width).chain(seen).collect();
-            StreamEquations { weights: linear.first_weights(), linear, parameters }
+    pub fn new<'a>(samples: &'a [StreamSamples<'a>], coefficients: &[Coefficient]) -> Self {
+        let of_stream = |(s, stream): (usize, &'a StreamSamples)| {
+            let variable = |(parameter, it): (usize, &Coefficient)| {
+                let (columns, factors) = (stream.columns.zero(it.column)?, it.profiles[s].clone());
+                Some((parameter, VariableColumns { columns, factors, along: None }))
+            };
+            (&stream.columns, coefficients.iter().enumerate().filter_map(variable).collect())
         };
-        let streams = samples.iter().enumerate().map(of_stream).collect();
-        let mut equations = SharedEquations { streams, prior };
+        let streams = samples.iter().enumerate().map(of_stream);
+        let mut equations = shared_equations(coefficients.len(), streams);
+        (0..coefficients.len()).for_each(|at| equations.prior[(at, at)] = ZERO_PRIOR.powi(-2));
         let mut normal = equations.normal();
         for _ in 0..2 {
             equations.update_weights(&normal.full_step());

@@ -7,9 +7,8 @@
 use crate::model::measurement::{pose_of_twist, twist_at, twist_lengths, twist_of};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
 use crate::residuals::cause_columns::{CauseColumns, Frame};
-use crate::{FrameEstimate, PoseDiagnosis};
+use crate::{FrameEstimate, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3};
-use ground::robot::Chain;
 use ground::stats::joint_p_value;
 use nalgebra::{DMatrix, DVector};
 
@@ -17,13 +16,13 @@ use nalgebra::{DMatrix, DVector};
 /// if the motion does not determine them.
 pub(crate) fn frames_with_links(
     found: &PoseDiagnosis,
-    chain: &Chain,
+    stream: &PoseStream,
     free: [bool; 2],
 ) -> Option<[Option<FrameEstimate>; 2]> {
     if !free.contains(&true) || found.encoding.is_err() {
         return None;
     }
-    let columns = CauseColumns::new(found, chain);
+    let columns = CauseColumns::new(found, stream);
     let (linear, first) = columns.constant_fit();
     let mut normal = columns.normal_equations(&linear, &linear.weights_after(first.as_slice()));
     for (frame, _) in Frame::BOTH.into_iter().zip(free).filter(|it| !it.1) {

@@ -9,8 +9,8 @@ use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
-use crate::solver::linear::{Linear, Normal, Weight};
-use crate::{AlignedSamples, PoseDiagnosis};
+use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
+use crate::{AlignedSamples, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
 use ground::robot::{Chain, JointKind};
 use nalgebra::{DMatrix, DVector};
@@ -77,6 +77,8 @@ impl VariableColumns {
 pub(crate) struct CauseColumns<'a> {
     pub aligned: Cow<'a, AlignedSamples>,
     pub chain: &'a Chain,
+    /// Columns of the joint track with the chain's joints.
+    joint_columns: &'a [usize],
     /// Joints whose positions are known.
     joints: usize,
     /// Links before the last, whose deviation is a tool, and joints before the last, whose zero is one.
@@ -93,7 +95,8 @@ pub(crate) struct CauseColumns<'a> {
 }
 
 impl<'a> CauseColumns<'a> {
-    pub fn new(diagnosis: &'a PoseDiagnosis, chain: &'a Chain) -> Self {
+    pub fn new(diagnosis: &'a PoseDiagnosis, stream: &PoseStream<'a>) -> Self {
+        let PoseStream { chain, columns: joint_columns, .. } = *stream;
         let aligned = Cow::Borrowed(&diagnosis.aligned);
         let sum: Vec3 = aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).sum();
         let centre = sum / aligned.fk_at_truth.len().max(1) as f64;
@@ -103,6 +106,7 @@ impl<'a> CauseColumns<'a> {
         Self {
             aligned,
             chain,
+            joint_columns,
             joints,
             links: joints.saturating_sub(1),
             zero_as_tool: if has_joints { zero_as_tool(chain, &axes) } else { [0.0; 6] },
@@ -132,6 +136,17 @@ impl<'a> CauseColumns<'a> {
     /// Variable columns of all joint zeros.
     pub fn zeros(&self) -> Range<usize> {
         ZEROS..ZEROS + self.joints
+    }
+
+    /// Variable column of the zero of the joint in this column of the joint track.
+    pub fn zero(&self, joint_column: usize) -> Option<Range<usize>> {
+        let zero = ZEROS + self.joint_columns.iter().position(|own| *own == joint_column)?;
+        self.zeros().contains(&zero).then_some(zero..zero + 1)
+    }
+
+    /// Column of the joint track with the joint of this variable column. `None` if that is no joint zero.
+    pub fn joint_column(&self, zero: usize) -> Option<usize> {
+        Some(self.joint_columns[zero.checked_sub(ZEROS)?])
     }
 
     /// Derivatives by the variable columns, from those by the constant ones in a row. The last is the last joint's zero.
@@ -304,6 +319,28 @@ impl<'a> CauseColumns<'a> {
     pub fn fit(&self, linear: &Linear, weights: &[Weight]) -> DVector<f64> {
         self.normal_equations(linear, weights).full_step()
     }
+}
+
+/// Equations of several streams: of `shared` parameters without a prior, then of the constant causes of each stream. A
+/// stream depends on shared parameters by variable columns, each with its first parameter. The weights assume white noise.
+pub(crate) fn shared_equations<'a>(
+    shared: usize,
+    streams: impl Iterator<Item = (&'a CauseColumns<'a>, Vec<(usize, VariableColumns)>)>,
+) -> SharedEquations {
+    let mut prior = DMatrix::zeros(shared, shared);
+    let equations = |(columns, variable): (&CauseColumns, Vec<(usize, VariableColumns)>)| {
+        let (first, own) = (prior.nrows(), columns.constant());
+        prior.resize_mut(first + own, first + own, 0.0);
+        prior.view_mut((first, first), (own, own)).copy_from(&columns.prior());
+        let constant = first..first + own;
+        let of_variable = variable.iter().flat_map(|(first, it)| *first..first + it.width());
+        let parameters = constant.chain(of_variable).collect();
+        let variable: Vec<VariableColumns> = variable.into_iter().map(|it| it.1).collect();
+        let linear = columns.linearize(&variable);
+        StreamEquations { weights: linear.first_weights(), linear, parameters }
+    };
+    let streams = streams.map(equations).collect();
+    SharedEquations { streams, prior }
 }
 
 /// Change of the tool, a twist, that equals a small motion of the last joint.
