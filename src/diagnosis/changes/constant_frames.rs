@@ -1,6 +1,6 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
-use crate::model::jacobian::PoseJacobian;
+use crate::model::jacobian::{Derivative, link_derivatives};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::priors::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
@@ -35,17 +35,13 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
 fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<Vec3>> {
     let mut linear = Linear::new(12, &[FLOOR_M, FLOOR_RAD]);
-    let identity = Pose::identity();
-    let mask = |vector: Vec3| if has_rotation { vector } else { Vec3::zeros() };
+    let mask =
+        |[shift, turn]: Derivative| [shift, if has_rotation { turn } else { Vec3::zeros() }];
     for (row, fk) in aligned.fk_at_truth.iter().take(aligned.corrected.len()).enumerate() {
-        let [shift, turn] = aligned.residual(row, fk);
-        let mut rows = linear.push(&[shift, mask(turn)]);
-        let jacobian = PoseJacobian::new(&[], &identity, fk, &identity);
-        let derivatives = (0..6).map(|axis| jacobian.reference(axis));
-        let derivatives = derivatives.chain((0..6).map(|axis| jacobian.tool(axis)));
-        for (column, [shift, turn]) in derivatives.enumerate() {
-            rows.set_all(column, [shift, mask(turn)]);
-        }
+        let mut rows = linear.push(&mask(aligned.residual(row, fk)));
+        let of_frame = |frame: Pose| link_derivatives(&frame, &fk.translation.vector);
+        let derivatives = [Pose::identity(), *fk].into_iter().flat_map(of_frame);
+        derivatives.enumerate().for_each(|(column, own)| rows.set_all(column, mask(own)));
     }
     let mut weights = linear.even_weights();
     weights[1].noise.sigma = 1.0 / LEVER_M;

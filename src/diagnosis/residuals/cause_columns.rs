@@ -4,14 +4,14 @@
 //! No arm is exactly its model. Tests of changes and compliance therefore include constant deviations of the links, with a
 //! prior.
 
-use crate::model::jacobian::{Derivative, PoseJacobian, link_derivatives, pose_change};
+use crate::model::jacobian::{Derivative, link_derivatives};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
 use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
 use crate::{AlignedSamples, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Vec3, pose};
+use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
@@ -214,53 +214,34 @@ impl<'a> CauseColumns<'a> {
             .filter(move |row| row % stride <= 1 || row % stride == stride - 1)
     }
 
-    /// From −1 at the first sample to 1 at the last.
-    pub fn part(&self, t_s: f64) -> f64 {
-        (t_s - self.aligned.middle_s()) / self.half_span_s().max(f64::MIN_POSITIVE)
-    }
-
-    pub fn half_span_s(&self) -> f64 {
-        let t_s = &self.aligned.t_s;
-        t_s.first().zip(t_s.last()).map_or(0.0, |(first, last)| 0.5 * (last - first))
-    }
-
     /// Residuals in m and rad, and their derivatives by the constant causes, then by these variable ones.
     pub fn linearize(&self, variable: &[VariableColumns]) -> Linear {
-        let constant = self.constant();
-        let width = constant + variable.iter().map(VariableColumns::width).sum::<usize>();
+        let width = self.constant() + variable.iter().map(VariableColumns::width).sum::<usize>();
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-        let identity = Pose::identity();
-        let mask = |vector: Vec3| if self.has_rotation { vector } else { Vec3::zeros() };
-        let mut frames = Vec::new();
+        let mask = |[position, rotation]: Derivative| {
+            [position, if self.has_rotation { rotation } else { Vec3::zeros() }]
+        };
+        let AlignedSamples { t_s, fk_at_truth, q_at_truth, .. } = &*self.aligned;
+        let middle_s = self.aligned.middle_s();
+        let half_span_s = t_s.last().map_or(0.0, |last| last - middle_s).max(f64::MIN_POSITIVE);
+        let centre = Pose::from_parts(self.centre.into(), Rotation::identity());
+        let (dof, mut links) = (self.chain.dof(), Vec::new());
         for row in self.samples() {
-            let (fk, is) = (&self.aligned.fk_at_truth[row], &self.aligned.corrected[row]);
-            let [shift, turn] = pose_change(fk, is);
-            let mut rows = linear.push(&[shift, mask(turn)]);
+            let fk = &fk_at_truth[row];
+            let mut rows = linear.push(&mask(self.aligned.residual(row, fk)));
             let tip = fk.translation.vector;
-            let about_centre = pose((tip - self.centre).into(), fk.rotation);
-            let jacobian = PoseJacobian::new(&[], &identity, &about_centre, &identity);
             let late = self.aligned.velocity(row).map(|part| -part);
-            let part = self.part(self.aligned.t_s[row]);
-            let derivatives: [Derivative; CAUSES] = std::array::from_fn(|column| match column {
-                0..6 => jacobian.reference(column),
-                6..LATENCY => jacobian.tool(column - 6),
-                LATENCY => late,
-                RADIAL_SCALE => [tip, Vec3::zeros()],
-                _ => late.map(|late| late * part),
-            });
-            let mut set = |column: usize, [linear, angular]: Derivative| {
-                rows.set_all(column, [linear, mask(angular)]);
-            };
-            derivatives.iter().enumerate().for_each(|(column, own)| set(column, *own));
+            let part = (t_s[row] - middle_s) / half_span_s;
             if self.links > 0 {
-                let dof = self.chain.dof();
-                let q = &self.aligned.q_at_truth[row * dof..(row + 1) * dof];
-                self.chain.joint_frames(q, &mut frames);
+                self.chain.joint_frames(&q_at_truth[row * dof..(row + 1) * dof], &mut links);
             }
-            for (link, frame) in frames.iter().take(self.links).enumerate() {
-                for (axis, derivative) in link_derivatives(frame, &tip).into_iter().enumerate() {
-                    set(CAUSES + 6 * link + axis, derivative);
-                }
+            let of_frame = |frame: &Pose| link_derivatives(frame, &tip);
+            let [reference, tool] = [&centre, fk].map(of_frame);
+            let others = [late, [tip, Vec3::zeros()], late.map(|late| late * part)];
+            let constant = reference.into_iter().chain(tool).chain(others);
+            let of_links = links.iter().take(self.links).flat_map(of_frame);
+            for (column, derivative) in constant.chain(of_links).enumerate() {
+                rows.set_all(column, mask(derivative));
             }
         }
         self.add_variable(&mut linear, variable);
@@ -269,21 +250,14 @@ impl<'a> CauseColumns<'a> {
 
     /// Appends variable columns.
     fn add_variable(&self, linear: &mut Linear, variable: &[VariableColumns]) {
-        for sample in 0..linear.len() {
-            for axis in 0..6 {
-                let derivatives = self.variable_row(linear.row(sample, axis));
-                let mut at = self.constant();
-                for VariableColumns { columns, factors, along } in variable {
-                    let own = derivatives.rows(columns.start, columns.len()) * factors[sample];
-                    let own = match along {
-                        Some(along) => DVector::from_element(1, along.dot(&own)),
-                        None => own,
-                    };
-                    for value in own.iter() {
-                        linear.set(sample, axis, at, *value);
-                        at += 1;
-                    }
-                }
+        for (sample, row) in (0..linear.len()).flat_map(|it| (0..6).map(move |row| (it, row))) {
+            let derivatives = self.variable_row(linear.row(sample, row));
+            let values = variable.iter().flat_map(|VariableColumns { columns, factors, along }| {
+                let own = derivatives.rows(columns.start, columns.len()) * factors[sample];
+                along.as_ref().map_or_else(|| own.as_slice().to_vec(), |it| vec![it.dot(&own)])
+            });
+            for (at, value) in values.enumerate() {
+                linear.set(sample, row, self.constant() + at, value);
             }
         }
     }
