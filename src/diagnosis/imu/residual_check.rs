@@ -90,8 +90,9 @@ fn orientation_residual(
     let sample =
         |(row, state): &(usize, LinkState)| (track.t_s[*row], pose([0.0; 3], state.rotation));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = link_states.iter().map(sample).unzip();
-    let (nothing, moves) = (vec![Vec3::zeros(); fk.len()], vec![true; fk.len()]);
-    Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle.collect())).error(&moves, false))
+    let nothing = vec![Vec3::zeros(); fk.len()];
+    let series = ErrorSeries::new(&t_s, &fk, nothing, Some(angle.collect()));
+    Some(series.error(&Vec::from_iter(0..fk.len())))
 }
 
 /// With the best-fitting mount. `None` if the gyro is always zero.

@@ -25,16 +25,14 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
         return does_not_follow;
     }
-    let moves = vec![true; aligned.t_s.len()];
-    let has_rotation = diagnosis.encoding.is_ok();
     let [length, angle] = residual_vectors(diagnosis);
-    let angle = has_rotation.then_some(angle);
+    let angle = diagnosis.encoding.is_ok().then_some(angle);
     let series = ErrorSeries::new(&aligned.t_s, &aligned.fk_at_truth, length, angle);
-    let error = series.error(&moves, true);
+    let error = series.error(&Vec::from_iter(0..aligned.t_s.len()));
     let is_much = |(size, min_size): (&ErrorSize, f64)| {
-        size.parts.iter().any(|PartError { magnitude: amount, .. }| {
-            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
-            amount.rms > min_size.max(MIN_NOISE_RATIO * noise)
+        size.parts.iter().any(|PartError { magnitude, .. }| {
+            let noise = magnitude.noise.map_or(0.0, |noise| noise.rms);
+            magnitude.rms > min_size.max(MIN_NOISE_RATIO * noise)
         })
     };
     std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)

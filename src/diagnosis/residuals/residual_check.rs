@@ -15,7 +15,7 @@ use crate::samples::sampling::{FkSequence, as_rotations, check_sample_count, res
 use crate::selection::nominal_model::calibrated_residuals;
 use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, mean_vector, pose};
-use ground::stats::median;
+use ground::stats::{mean, median};
 use ground::stream::{JointTrack, Orientations};
 
 /// Defines the size of an error.
@@ -131,33 +131,36 @@ pub fn check_residual(
         return Err(NotObservable::NoOverlap);
     }
     check_sample_count(logged.t_s.len(), MIN_SAMPLES)?;
-    let moves = moving(joints, stream, &logged.t_s);
-    let points = tip_points(&logged.fk);
     // The tip rests during null-space motion of a seven-joint arm.
-    let is_in_one_posture = variance(&points) < MAX_REST_SPREAD_M * MAX_REST_SPREAD_M
+    let is_in_one_posture = variance(&tip_points(&logged.fk)) < MAX_REST_SPREAD_M.powi(2)
         && stream
             .columns
             .iter()
             .all(|&column| travel(joints, column) < MAX_SINGLE_CONFIGURATION_RANGE);
-    let at_rest =
-        moves.iter().filter(|moves| **moves).count() < MIN_MOVING_SAMPLES || is_in_one_posture;
+    let moving = moving_rows(joints, stream, &logged.t_s);
+    let is_at_rest = moving.len() < MIN_MOVING_SAMPLES || is_in_one_posture;
+    let rows = |moving: Vec<usize>, t_s: &[f64]| match is_at_rest {
+        true => (0..t_s.len()).collect(),
+        false => moving,
+    };
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
     let as_logged = ErrorSeries::from_poses(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
-        .error(&moves, at_rest);
-    let aligned = &diagnosis.aligned;
-    let moves = moving(joints, stream, &aligned.t_s);
+        .error(&rows(moving, &logged.t_s));
+    let AlignedSamples { t_s, logged, fk, corrected, fk_at_truth, .. } = &diagnosis.aligned;
+    let rows = rows(moving_rows(joints, stream, t_s), t_s);
     let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
-        let series = ErrorSeries::from_poses(&aligned.t_s, poses, fk, has_rotation);
-        (aligned.t_s.len() >= MIN_SAMPLES).then(|| series.error(&moves, at_rest))
+        let series = ErrorSeries::from_poses(t_s, poses, fk, has_rotation);
+        (t_s.len() >= MIN_SAMPLES).then(|| series.error(&rows))
     };
     let true_joints = if diagnosis.is_derived { joints } else { corrected_joints };
+    let calibrated = || residual_with_calibration(true_joints, stream, diagnosis);
     Ok(ResidualCheck {
-        is_at_rest: at_rest,
+        is_at_rest,
         as_logged,
-        corrected: error(&aligned.corrected, &aligned.fk_at_truth, true),
-        poses_corrected: error(&aligned.corrected, &aligned.fk, true),
-        joints_corrected: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
-        calibrated: residual_with_calibration(true_joints, stream, diagnosis, at_rest),
+        corrected: error(corrected, fk_at_truth, true),
+        poses_corrected: error(corrected, fk, true),
+        joints_corrected: error(logged, fk_at_truth, has_rotation),
+        calibrated: (!is_at_rest && t_s.len() >= MIN_SAMPLES).then(calibrated).flatten(),
     })
 }
 
@@ -165,12 +168,8 @@ fn residual_with_calibration(
     corrected_joints: &JointTrack,
     stream: &PoseStream,
     diagnosis: &PoseDiagnosis,
-    at_rest: bool,
 ) -> Option<FkError> {
     let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &diagnosis.aligned;
-    if at_rest || t_s.len() < MIN_SAMPLES {
-        return None;
-    }
     let still = rest_speeds(corrected_joints);
     let PoseStream { chain, columns, moving_frame, .. } = *stream;
     let observations = PoseObservations {
@@ -196,8 +195,8 @@ fn residual_with_calibration(
     }
     let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
     let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
-    let moves = moving(corrected_joints, stream, &t_s);
-    Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
+    let moving = moving_rows(corrected_joints, stream, &t_s);
+    Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moving))
 }
 
 /// Samples with FK at their stamps. Fills only `t_s`, `logged` and `fk`.
@@ -216,16 +215,16 @@ pub(crate) fn align_with_fk(joints: &JointTrack, stream: &PoseStream) -> Aligned
     aligned
 }
 
-/// Whether a joint of the chain moves at each stamp.
-fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
+/// Rows of the stamps at which a joint of the chain moves.
+fn moving_rows(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<usize> {
     let still = rest_speeds(joints);
     let mut sequence = joints.sequence();
-    let moves = |t_s: &f64| {
-        sequence.at(*t_s).is_some_and(|(_, qd)| {
+    let mut moves = |row: &usize| {
+        sequence.at(t_s[*row]).is_some_and(|(_, qd)| {
             stream.columns.iter().any(|&column| qd[column].abs() > still[column])
         })
     };
-    t_s.iter().map(moves).collect()
+    (0..t_s.len()).filter(|row| moves(row)).collect()
 }
 
 pub(crate) struct ErrorSeries<'a> {
@@ -258,12 +257,10 @@ impl<'a> ErrorSeries<'a> {
         Self { t_s, fk, length, angle, short, period_s }
     }
 
-    /// Over samples with motion, or all at rest.
-    pub fn error(&self, moves: &[bool], at_rest: bool) -> FkError {
-        let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
+    pub fn error(&self, rows: &[usize]) -> FkError {
         FkError {
-            length: self.size(&self.length, &rows),
-            angle: self.angle.as_ref().map(|angle| self.size(angle, &rows)),
+            length: self.size(&self.length, rows),
+            angle: self.angle.as_ref().map(|angle| self.size(angle, rows)),
         }
     }
 
@@ -272,30 +269,20 @@ impl<'a> ErrorSeries<'a> {
         let parts = (0..parts)
             .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
         let part = |rows: &[usize]| {
-            let amount = self.magnitude(error, rows);
-            let (first, last) = (*rows.first()?, *rows.last()?);
-            let at = self.location_of_largest(error, rows, amount.quantile_95);
-            Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, magnitude: amount })
+            let magnitude = self.magnitude(error, rows);
+            let (from_s, to_s) = (self.t_s[*rows.first()?], self.t_s[*rows.last()?]);
+            let large = rows.iter().filter(|&&row| error[row].norm() >= magnitude.quantile_95);
+            let at = mean_vector(large.map(|&row| self.fk[row].translation.vector));
+            Some(PartError { from_s, to_s, at, magnitude })
         };
         let mut parts: Vec<PartError> = parts.filter_map(part).collect();
         limit_noise(&mut parts);
         ErrorSize { whole: self.magnitude(error, rows), parts }
     }
 
-    /// Mean tip position over samples with at least the error `max_size`.
-    fn location_of_largest(&self, error: &[Vec3], rows: &[usize], max_size: f64) -> Vec3 {
-        let large = rows.iter().filter(|&&row| error[row].norm() >= max_size);
-        mean_vector(large.map(|&row| self.fk[row].translation.vector))
-    }
-
     fn magnitude(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
-        let [rms, quantile] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
-        ErrorMagnitude {
-            samples: rows.len(),
-            rms,
-            quantile_95: quantile,
-            noise: self.noise(error, rows),
-        }
+        let [rms, quantile_95] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
+        ErrorMagnitude { samples: rows.len(), rms, quantile_95, noise: self.noise(error, rows) }
     }
 
     /// The largest over lags with negligible motion, because correlated noise appears only at longer lags.
@@ -315,8 +302,8 @@ impl<'a> ErrorSeries<'a> {
             };
             let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
             let has_enough = differences.len() >= MIN_SAMPLES;
-            let [rms, most] = sizes(differences);
-            has_enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
+            let [rms, quantile_95] = sizes(differences);
+            has_enough.then_some(SampleNoise { rms, quantile_95, lag_samples: over })
         });
         noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
     }
@@ -331,7 +318,8 @@ fn limit_noise(parts: &mut [PartError]) {
     for noise in parts.iter_mut().filter_map(|part| part.magnitude.noise.as_mut()) {
         let share = (MAX_NOISE_RATIO * median / noise.quantile_95).min(1.0);
         if share.is_finite() {
-            (noise.rms, noise.quantile_95) = (share * noise.rms, share * noise.quantile_95);
+            noise.rms *= share;
+            noise.quantile_95 *= share;
         }
     }
 }
@@ -364,10 +352,9 @@ fn squared_distance(a: &TipPoints, b: &TipPoints) -> f64 {
 
 /// m².
 fn variance(points: &[TipPoints]) -> f64 {
-    let n = points.len().max(1) as f64;
-    let mean: TipPoints =
+    let middle: TipPoints =
         std::array::from_fn(|of| mean_vector(points.iter().map(|points| points[of])));
-    points.iter().map(|points| squared_distance(points, &mean)).sum::<f64>() / n
+    mean(points.iter().map(|points| squared_distance(points, &middle)))
 }
 
 /// Time after which the tip's mean squared change is half that between random times, s. Infinite without
@@ -435,7 +422,7 @@ mod tests {
 
     fn size_of(error: Vec<Vec3>) -> ErrorSize {
         let (t_s, fk) = motion();
-        ErrorSeries::new(&t_s, &fk, error, None).error(&[true; N], false).length
+        ErrorSeries::new(&t_s, &fk, error, None).error(&Vec::from_iter(0..N)).length
     }
 
     fn beyond(size: &ErrorSize) -> f64 {
@@ -499,6 +486,6 @@ mod tests {
         let few: Vec<usize> = (0..N).step_by(125).collect();
         let (t_s, fk): (Vec<f64>, Vec<Pose>) = few.iter().map(|&row| (t_s[row], fk[row])).unzip();
         let series = ErrorSeries::new(&t_s, &fk, vec![Vec3::x(); few.len()], None);
-        assert_eq!(series.error(&vec![true; few.len()], false).length.whole.noise, None);
+        assert_eq!(series.error(&Vec::from_iter(0..few.len())).length.whole.noise, None);
     }
 }
