@@ -18,7 +18,8 @@ use crate::latency::compensation::with_tracks;
 use crate::latency::correlation::stream_lag_s;
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::log_bayes_factor;
-use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream};
+use crate::{ArmDiagnosis, AxesError, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream};
+use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, PoseTrack};
 
@@ -115,10 +116,13 @@ fn diagnose_with_jumps(
     diagnose: &impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
     let segments = Segments::diagnose(run, &run.split_at(jumps), residual_m(constant))?;
-    let Some(EncodedAlike { joints, patches, tracks }) = segments.encoded_alike(run) else {
+    let (patches, tracks) = segments.encoded_alike(run);
+    if patches.is_empty() && tracks.iter().all(Option::is_none) {
         let after = diagnose_with_large_steps(run, &segments, jumps)?;
         return (log_bayes_factor(&after, constant) > 0.0).then_some(after);
-    };
+    }
+    let mut joints = run.arm.joints.clone();
+    patches.iter().for_each(|patch| patch.apply(&mut joints));
     let streams = with_tracks(run.arm.streams, &tracks);
     let mut after = diagnose(&ArmRun { joints: &joints, streams: &streams, ..run.arm });
     for (s, (after, stream)) in after.streams.iter_mut().zip(run.arm.streams).enumerate() {
@@ -145,14 +149,6 @@ pub(super) struct Segments {
     pub longest: Segment,
     /// In order of time.
     others: Vec<Segment>,
-}
-
-/// The run in the encodings of its longest segment.
-struct EncodedAlike {
-    joints: JointTrack,
-    patches: Vec<JointPatch>,
-    /// Decoded poses of the streams whose encoding changes.
-    tracks: Vec<Option<PoseTrack>>,
 }
 
 impl Segments {
@@ -187,19 +183,15 @@ impl Segments {
         Some(Self { longest, others })
     }
 
-    /// `None` if no encoding changes.
-    fn encoded_alike(&self, run: &SplitRun) -> Option<EncodedAlike> {
-        let mut joints = run.arm.joints.clone();
-        let patches: Vec<JointPatch> =
-            self.others.iter().flat_map(|other| self.longest.patches(other, run)).collect();
-        patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
+    /// What puts the run into the encodings of its longest segment: corrections of joints, and decoded poses of the streams
+    /// whose encoding changes.
+    fn encoded_alike(&self, run: &SplitRun) -> (Vec<JointPatch>, Vec<Option<PoseTrack>>) {
+        let patches = self.others.iter().flat_map(|other| self.longest.patches(other, run));
         let track = |s: usize| {
             let changes = self.others.iter().any(|other| self.longest.has_other_encoding(s, other));
-            changes.then(|| self.decoded_track(s))
+            changes.then(|| self.decoded_track(s, |_| [Pose::identity(); 2]))
         };
-        let tracks: Vec<Option<PoseTrack>> = (0..run.arm.streams.len()).map(track).collect();
-        let is_changed = !patches.is_empty() || tracks.iter().any(Option::is_some);
-        is_changed.then_some(EncodedAlike { joints, patches, tracks })
+        (patches.collect(), (0..run.arm.streams.len()).map(track).collect())
     }
 
     /// In order of time.
@@ -209,38 +201,61 @@ impl Segments {
         all
     }
 
-    fn decoded_track(&self, s: usize) -> PoseTrack {
-        let mut joined = self.all()[0].decoded_track(s);
-        self.all()[1..].iter().for_each(|segment| joined.append(segment.decoded_track(s)));
+    /// Poses with only the encoding corrected, between two poses for each segment. Frame errors are included.
+    pub fn decoded_track(&self, s: usize, between: impl Fn(usize) -> [Pose; 2]) -> PoseTrack {
+        let all = self.all();
+        let decoded = |at: usize| {
+            let found = &all[at].found.streams[s];
+            let corrected = found.aligned.corrected.iter();
+            let poses = corrected.map(|pose| found.frame_correction.invert(pose));
+            let mut track = with_poses(found, poses);
+            let [left, right] = between(at);
+            track.transform(&left, &right);
+            track
+        };
+        let mut joined = decoded(0);
+        (1..all.len()).for_each(|at| joined.append(decoded(at)));
         joined
     }
 
     /// If an encoding differs between segments, reports the one not as logged, with its time span.
     fn report_encoding(&self, s: usize, after: &mut PoseDiagnosis) {
-        let longest = &self.longest.found.streams[s];
-        let first = self.others.iter().find(|other| self.longest.has_other_encoding(s, other));
-        let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
-            let is_different = |other: &&Segment| !is_same(longest, &other.found.streams[s]);
-            let Some(first) = first.filter(is_different) else { return (longest, None) };
-            if !is_as_logged(longest) {
-                return (longest, Some(self.longest.span));
-            }
-            let first = &first.found.streams[s];
-            let same = self.others.iter().filter(|other| is_same(first, &other.found.streams[s]));
-            (first, same.map(|other| other.span).reduce(|a, b| (a.0, b.1)))
-        };
-        let (found, rotation) = component(is_same_rotation, is_rotation_as_logged);
+        let (found, rotation) =
+            self.component(s, rotation, |(best, is_inverted)| best.is_as_logged() && !is_inverted);
         after.encoding.clone_from(&found.encoding);
         after.is_inverted = found.is_inverted;
-        let (found, degrees) = component(is_same_angle_unit, |found| found.degrees.is_none());
+        let (found, degrees) = self.component(s, is_in_degrees, |is_in_degrees| !is_in_degrees);
         after.degrees = found.degrees;
-        let (found, length) =
-            component(is_same_length_unit, |found| !matches!(found.length_unit, Ok(Some(_))));
+        let (found, length) = self.component(s, length_factor, Option::is_none);
         after.length_unit.clone_from(&found.length_unit);
-        let (found, axes) = component(is_same_axes, |found| !matches!(found.axes, Ok(Some(_))));
+        let (found, axes) = self.component(s, axes, Option::is_none);
         after.axes.clone_from(&found.axes);
+        let longest = &self.longest.found.streams[s];
         after.constant_coordinates.clone_from(&longest.constant_coordinates);
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
+    }
+
+    /// A stream's diagnosis with the component of its encoding that is reported, and the span of that if it changes.
+    fn component<T: PartialEq>(
+        &self,
+        s: usize,
+        component: impl Fn(&PoseDiagnosis) -> T,
+        is_as_logged: impl Fn(&T) -> bool,
+    ) -> (&PoseDiagnosis, Option<Span>) {
+        let of = |segment: &Segment| component(&segment.found.streams[s]);
+        let longest = of(&self.longest);
+        let first = self.others.iter().find(|other| self.longest.has_other_encoding(s, other));
+        match first.filter(|first| of(first) != longest) {
+            None => (&self.longest.found.streams[s], None),
+            Some(_) if !is_as_logged(&longest) => {
+                (&self.longest.found.streams[s], Some(self.longest.span))
+            }
+            Some(first) => {
+                let same = self.others.iter().filter(|other| of(other) == of(first));
+                let span = same.map(|other| other.span).reduce(|a, b| (a.0, b.1));
+                (&first.found.streams[s], span)
+            }
+        }
     }
 
     /// Encoding and span of the segments whose joints are in degrees or in another order, if others are not.
@@ -279,13 +294,6 @@ impl Segments {
 }
 
 impl Segment {
-    /// Poses with only the encoding corrected: as logged, frame errors included.
-    pub fn decoded_track(&self, s: usize) -> PoseTrack {
-        let found = &self.found.streams[s];
-        let corrected = found.aligned.corrected.iter();
-        with_poses(found, corrected.map(|pose| found.frame_correction.invert(pose)))
-    }
-
     /// Whether each encoding of the other segment is determined, or the same.
     fn is_comparable(&self, other: &Segment) -> bool {
         let mut streams = self.found.streams.iter().zip(&other.found.streams);
@@ -387,38 +395,24 @@ fn joint_map(
     (0..dof).map(map).filter(is_changed).collect()
 }
 
-type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
-
-fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |diagnosis: &PoseDiagnosis| {
-        let best = diagnosis.encoding.as_ref().map_or(PoseEncoding::AsLogged, |it| it.best);
-        (best, diagnosis.is_inverted)
-    };
-    of(a) == of(b)
+fn rotation(diagnosis: &PoseDiagnosis) -> (PoseEncoding, bool) {
+    let best = diagnosis.encoding.as_ref().map_or(PoseEncoding::AsLogged, |it| it.best);
+    (best, diagnosis.is_inverted)
 }
 
-fn is_same_angle_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    a.degrees.is_some() == b.degrees.is_some()
+fn is_in_degrees(diagnosis: &PoseDiagnosis) -> bool {
+    diagnosis.degrees.is_some()
 }
 
-fn is_same_length_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of =
-        |diagnosis: &PoseDiagnosis| Some(diagnosis.length_unit.as_ref().ok()?.as_ref()?.factor());
-    of(a) == of(b)
+fn length_factor(diagnosis: &PoseDiagnosis) -> Option<f64> {
+    Some(diagnosis.length_unit.as_ref().ok()?.as_ref()?.factor())
 }
 
-fn is_same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |diagnosis: &PoseDiagnosis| diagnosis.axes.as_ref().ok().copied().flatten();
-    of(a) == of(b)
+fn axes(diagnosis: &PoseDiagnosis) -> Option<AxesError> {
+    diagnosis.axes.as_ref().ok().copied().flatten()
 }
 
 fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let all: [EncodingComparison; 4] =
-        [is_same_rotation, is_same_angle_unit, is_same_length_unit, is_same_axes];
-    all.into_iter().all(|same| same(a, b))
-}
-
-fn is_rotation_as_logged(diagnosis: &PoseDiagnosis) -> bool {
-    !diagnosis.is_inverted
-        && diagnosis.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
+    let components = |of| (rotation(of), is_in_degrees(of), length_factor(of), axes(of));
+    components(a) == components(b)
 }

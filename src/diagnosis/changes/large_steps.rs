@@ -5,7 +5,7 @@ use super::encoding_changes::{Segment, Segments};
 use super::jumps::{Jump, jumps_in_joints};
 use super::split_run::SplitRun;
 use crate::residuals::cause_columns::Frame;
-use crate::{FrameCorrection, JointOffset};
+use crate::{ArmDiagnosis, FrameCorrection, JointOffset};
 use ground::geometry::Pose;
 use ground::stream::PoseTrack;
 
@@ -25,43 +25,34 @@ pub(super) enum StepSize {
     Zero(usize, f64),
 }
 
-struct Causes {
-    /// Per stream.
-    frames: Vec<FrameCorrection>,
-    /// Per column, rad or m.
-    zeros: Vec<f64>,
-}
-
-impl Causes {
-    fn new(segment: &Segment) -> Self {
-        Self {
-            frames: segment.found.streams.iter().map(|found| found.frame_correction).collect(),
-            zeros: segment.found.joints.offsets.iter().map(JointOffset::chosen).collect(),
-        }
-    }
-
-    /// With the zero of an outer joint as a turn of the frame: if the positions do not jump, they hide no lost zero.
-    fn with_outer_zeros_in_frames(mut self, run: &SplitRun) -> Self {
-        for (stream, frames) in run.arm.streams.iter().zip(&mut self.frames) {
-            let ends =
-                [(0, Frame::Reference), (stream.columns.len().saturating_sub(1), Frame::Tool)];
-            for (joint, frame) in ends {
-                let Some(&column) = stream.columns.get(joint) else { continue };
-                let Some(zero) = self.zeros.get_mut(column) else { continue };
-                let turned = |rad: f64| {
-                    let mut q = vec![0.0; stream.columns.len()];
-                    q[joint] = rad;
-                    stream.chain.forward(&q)
-                };
-                let (before, after) = (turned(0.0), turned(std::mem::take(zero)));
-                match frame {
-                    Frame::Reference => frames.reference *= after * before.inverse(),
-                    Frame::Tool => frames.tool = before.inv_mul(&after) * frames.tool,
-                }
+/// Frames of each stream, and the zero of each column, rad or m. If the positions do not jump, they hide no lost zero: then
+/// the zero of an outer joint is a turn of the frame.
+fn frames_and_zeros(
+    run: &SplitRun,
+    segment: &Segment,
+    do_positions_jump: bool,
+) -> (Vec<FrameCorrection>, Vec<f64>) {
+    let ArmDiagnosis { streams, joints } = &segment.found;
+    let mut frames: Vec<_> = streams.iter().map(|found| found.frame_correction).collect();
+    let mut zeros: Vec<f64> = joints.offsets.iter().map(JointOffset::chosen).collect();
+    for (stream, frames) in run.arm.streams.iter().zip(&mut frames).filter(|_| !do_positions_jump) {
+        let last = stream.columns.len().saturating_sub(1);
+        for (joint, frame) in [(0, Frame::Reference), (last, Frame::Tool)] {
+            let zero = stream.columns.get(joint).and_then(|&column| zeros.get_mut(column));
+            let Some(zero) = zero else { continue };
+            let turned = |rad: f64| {
+                let mut q = vec![0.0; stream.columns.len()];
+                q[joint] = rad;
+                stream.chain.forward(&q)
+            };
+            let (before, after) = (turned(0.0), turned(std::mem::take(zero)));
+            match frame {
+                Frame::Reference => frames.reference *= after * before.inverse(),
+                Frame::Tool => frames.tool = before.inv_mul(&after) * frames.tool,
             }
         }
-        self
     }
+    (frames, zeros)
 }
 
 /// Steps, and each stream's decoded poses without steps of its frames. `None` if no step is large.
@@ -70,56 +61,48 @@ pub(super) fn large_steps(
     jumps: &[Jump],
     run: &SplitRun,
 ) -> Option<(Vec<LargeStep>, Vec<Option<PoseTrack>>)> {
-    let all = segments.all();
     let of_joints = jumps_in_joints(run.arm.joints);
     let is_in_joints = |at: &Jump| {
         of_joints.iter().any(|own| (own.at_s - at.at_s).abs() <= own.within_s + at.within_s)
     };
+    let streams = 0..run.arm.streams.len();
     let mut steps = Vec::new();
-    // Per stream, of the segments so far, from the left and the right.
-    let mut turns = vec![[Pose::identity(); 2]; run.arm.streams.len()];
-    let mut tracks: Vec<Option<PoseTrack>> = vec![None; turns.len()];
-    for (at, segment) in all.iter().enumerate() {
-        if let Some(before) = at.checked_sub(1).map(|before| all[before]) {
-            let jump = *jumps.iter().find(|jump| jump.at_s == segment.span.0)?;
-            let [before, after] =
-                [before, segment].map(Causes::new).map(|causes| match is_in_joints(&jump) {
-                    true => causes,
-                    false => causes.with_outer_zeros_in_frames(run),
-                });
-            for (s, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
-                let reference = after.reference * before.reference.inverse();
-                let tool = before.tool.inv_mul(&after.tool);
-                for (frame, by) in [(Frame::Reference, reference), (Frame::Tool, tool)] {
-                    if by.rotation.angle() > MIN_STEP_RAD {
-                        let turn = &mut turns[s][frame as usize];
-                        let before = *turn;
-                        *turn = match frame {
-                            Frame::Reference => by * before,
-                            Frame::Tool => before * by,
-                        };
-                        let size = StepSize::Frame(s, frame, [before, *turn]);
-                        steps.push(LargeStep { jump, size });
-                    }
-                }
-            }
-            for (column, (before, after)) in before.zeros.iter().zip(&after.zeros).enumerate() {
-                let by = after - before;
-                if !run.arm.is_prismatic[column] && by.abs() > MIN_STEP_RAD {
-                    steps.push(LargeStep { jump, size: StepSize::Zero(column, by) });
+    // Per segment and stream, from the left and the right.
+    let mut turns = vec![vec![[Pose::identity(); 2]; streams.len()]];
+    for (at, pair) in segments.all().windows(2).enumerate() {
+        let jump = *jumps.iter().find(|jump| jump.at_s == pair[1].span.0)?;
+        let do_positions_jump = is_in_joints(&jump);
+        let causes = |segment| frames_and_zeros(run, segment, do_positions_jump);
+        let ((frames, zeros), (frames_after, zeros_after)) = (causes(pair[0]), causes(pair[1]));
+        let mut turned = turns[at].clone();
+        for (s, (before, after)) in frames.iter().zip(&frames_after).enumerate() {
+            let reference = after.reference * before.reference.inverse();
+            let tool = before.tool.inv_mul(&after.tool);
+            for (frame, by) in [(Frame::Reference, reference), (Frame::Tool, tool)] {
+                if by.rotation.angle() > MIN_STEP_RAD {
+                    let turn = &mut turned[s][frame as usize];
+                    let before = *turn;
+                    *turn = match frame {
+                        Frame::Reference => by * before,
+                        Frame::Tool => before * by,
+                    };
+                    let size = StepSize::Frame(s, frame, [before, *turn]);
+                    steps.push(LargeStep { jump, size });
                 }
             }
         }
-        for (s, [left, right]) in turns.iter().enumerate() {
-            let mut own = segment.decoded_track(s);
-            own.transform(&left.inverse(), &right.inverse());
-            match &mut tracks[s] {
-                Some(track) => track.append(own),
-                none => *none = Some(own),
+        turns.push(turned);
+        for (column, (before, after)) in zeros.iter().zip(&zeros_after).enumerate() {
+            let by = after - before;
+            if !run.arm.is_prismatic[column] && by.abs() > MIN_STEP_RAD {
+                steps.push(LargeStep { jump, size: StepSize::Zero(column, by) });
             }
         }
     }
-    (!steps.is_empty()).then_some((steps, tracks))
+    let track = |s: usize| {
+        Some(segments.decoded_track(s, |at| turns[at][s].map(|turn| turn.inverse())))
+    };
+    (!steps.is_empty()).then(|| (steps, streams.map(track).collect()))
 }
 
 #[cfg(test)]
