@@ -229,8 +229,8 @@ impl Step {
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let Excited { free, basis, mut fixed, noise, prior } = excited;
         let noise = noise * self.weights.first().map_or(0.0, Weight::base_weight);
-        let targets: Vec<Option<usize>> =
-            (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
+        let targets: Vec<(usize, usize)> =
+            free.iter().enumerate().map(|(target, column)| (*column, target)).collect();
         let mut information = DMatrix::zeros(free.len(), free.len());
         let mut scores = information.clone();
         linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);

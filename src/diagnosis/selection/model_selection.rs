@@ -278,9 +278,10 @@ impl Linearized {
     }
 }
 
-/// Index among `parameters` of each column of a stream.
-fn target_columns(parameters: &[usize], stream: &StreamEquations) -> Vec<Option<usize>> {
-    stream.parameters.iter().map(|column| parameters.binary_search(column).ok()).collect()
+/// Columns of a stream that are among `parameters`, with their index there.
+fn target_columns(parameters: &[usize], stream: &StreamEquations) -> Vec<(usize, usize)> {
+    let target = |(own, column): (usize, &usize)| Some((own, parameters.binary_search(column).ok()?));
+    stream.parameters.iter().enumerate().filter_map(target).collect()
 }
 
 #[derive(Clone)]

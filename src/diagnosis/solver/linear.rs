@@ -251,8 +251,7 @@ impl Linear {
     }
 
     /// Adds the two parts of a sandwich covariance (White 1980): `Aᵀ W A` to `information`, and the
-    /// covariance of the score under the noise to `scores`. `columns` maps each parameter to its target, if
-    /// any.
+    /// covariance of the score under the noise to `scores`. `chosen` are pairs of a parameter and its target.
     ///
     /// Noise of one joint affects all six components of a sample, depending on the configuration. As in
     /// White's estimator, the sample's whole residual `u = W r` therefore represents its noise. The
@@ -264,14 +263,13 @@ impl Linear {
     pub fn accumulate_covariance(
         &self,
         weights: &[Weight],
-        columns: &[Option<usize>],
+        chosen: &[(usize, usize)],
         information: &mut DMatrix<f64>,
         scores: &mut DMatrix<f64>,
     ) {
-        let chosen = chosen(columns);
         let rows = 3 * self.kinds();
         let mut squares = DMatrix::zeros(chosen.len(), chosen.len());
-        let reaching = self.for_each_score(weights, &chosen, |white, lasting| {
+        let reaching = self.for_each_score(weights, chosen, |white, lasting| {
             add_squares(&mut squares, [white, lasting], 1.0);
         });
         // Innovations after the last sample have no residual.
@@ -292,10 +290,10 @@ impl Linear {
 
     /// The two parts of a sandwich covariance of all parameters.
     pub fn covariance_parts(&self, weights: &[Weight]) -> [DMatrix<f64>; 2] {
-        let columns: Vec<Option<usize>> = (0..self.width).map(Some).collect();
+        let all: Vec<(usize, usize)> = (0..self.width).map(|own| (own, own)).collect();
         let mut information = DMatrix::zeros(self.width, self.width);
         let mut scores = information.clone();
-        self.accumulate_covariance(weights, &columns, &mut information, &mut scores);
+        self.accumulate_covariance(weights, &all, &mut information, &mut scores);
         [information, scores]
     }
 
@@ -305,14 +303,13 @@ impl Linear {
     pub fn squares_along(
         &self,
         weights: &[Weight],
-        columns: &[Option<usize>],
+        chosen: &[(usize, usize)],
         influence: &DVector<f64>,
     ) -> (f64, f64) {
-        let chosen = chosen(columns);
         let (mut sum, mut fourth) = (0.0, 0.0);
-        self.for_each_score(weights, &chosen, |white, lasting| {
+        self.for_each_score(weights, chosen, |white, lasting| {
             let along = |part: &[f64]| -> f64 {
-                part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
+                part.iter().zip(chosen).map(|(s, &(_, target))| s * influence[target]).sum()
             };
             let square = along(white).powi(2) + along(lasting).powi(2);
             sum += square;
@@ -357,11 +354,6 @@ impl Linear {
         }
         reaching
     }
-}
-
-fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
-    let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
-    columns.iter().enumerate().filter_map(with_target).collect()
 }
 
 /// Adds `weight · Σ vᵀv` to an upper triangle. Skips columns in which all rows are zero.
@@ -558,7 +550,7 @@ impl SharedEquations {
         // The prior is as good as samples.
         let (mut information, mut scores) = (self.prior.clone(), self.prior.clone());
         for StreamEquations { linear, weights, parameters } in &self.streams {
-            let targets: Vec<Option<usize>> = parameters.iter().copied().map(Some).collect();
+            let targets: Vec<(usize, usize)> = parameters.iter().copied().enumerate().collect();
             linear.accumulate_covariance(weights, &targets, &mut information, &mut scores);
         }
         sandwich(&information, &scores)
