@@ -5,11 +5,10 @@ use super::trajectory_error::nearest_stamps;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::{Noise, rms};
 use crate::{
-    AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
+    ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
 };
-use ground::geometry::{Vec3, mean_vector, rotvec_from_rotation};
+use ground::geometry::{Vec3, mean_vector};
 use ground::stream::{JointTrack, Orientations};
-use nalgebra::Point3;
 
 /// Of a segment of the run.
 pub(crate) const MIN_SEGMENT_SAMPLES: usize = 20;
@@ -98,15 +97,9 @@ pub(crate) fn minus_segment_means(residuals: &[Vec3]) -> Vec<Vec3> {
     segments(residuals).flat_map(minus_mean).collect()
 }
 
-/// Position, m, and rotation, rad, at the measured point. At the tip, a rotation error of a distant marker becomes a
-/// position error.
+/// Position, m, and rotation, rad, at the measured point.
 pub(crate) fn residual_vectors(diagnosis: &PoseDiagnosis) -> [Vec<Vec3>; 2] {
-    let AlignedSamples { corrected, fk_at_truth, .. } = &diagnosis.aligned;
-    let marker = Point3::from(diagnosis.frame_correction.tool.translation.vector);
-    let both = || corrected.iter().zip(fk_at_truth);
-    let length = both().map(|(is, fk)| is * marker - fk * marker);
-    let turn = both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())));
-    [length.collect(), turn.collect()]
+    diagnosis.aligned.residuals(diagnosis.frame_correction.tool.translation.vector)
 }
 
 /// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, for reports.

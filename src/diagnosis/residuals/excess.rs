@@ -10,7 +10,7 @@ use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
 use crate::solver::noise::{Noise, mean_square, rms};
 use crate::{AlignedSamples, EstimateResult, Measured, StreamResidual};
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::Vec3;
 use ground::stats::mean;
 use nalgebra::DVector;
 
@@ -33,18 +33,10 @@ pub(crate) fn excess_residual(
     offsets: &[f64],
 ) -> EstimateResult<StreamResidual> {
     check_sample_count(aligned.t_s.len(), 8)?;
-    let differences = |a: &[Pose], b: &[Pose], tool: &Pose| -> (Vec<Vec3>, Vec<Vec3>) {
-        let difference = |(a, b): (&Pose, &Pose)| {
-            let [_, turn] = pose_change(b, a);
-            let [measured, predicted] = [a, b].map(|pose| (pose * tool).translation.vector);
-            (measured - predicted, turn)
-        };
-        a.iter().zip(b).map(difference).unzip()
-    };
-    let AlignedSamples { logged, fk, corrected, fk_at_truth, .. } = aligned;
-    // Compared at the measured point. At the tip, a rotation error of a distant marker becomes a position error.
-    let (residual_m, residual_rad) = differences(corrected, fk_at_truth, &stream.tool);
-    let (before_m, before_rad) = differences(logged, fk, &Pose::identity());
+    let [residual_m, residual_rad] = aligned.residuals(stream.tool.translation.vector);
+    let as_logged = aligned.fk.iter().zip(&aligned.logged);
+    let (before_m, before_rad): (Vec<Vec3>, Vec<Vec3>) =
+        as_logged.map(|(fk, is)| <(Vec3, Vec3)>::from(pose_change(fk, is))).unzip();
     let [common_m, common_rad] = fold_correlation(observations, stream, offsets);
     Ok(StreamResidual {
         excess_m: excess(&residual_m, &common_m),
@@ -116,9 +108,8 @@ fn fold_correlation(
     let normals: Vec<Normal> =
         folds.iter().map(|fold| fold.normal(&fold.first_weights())).collect();
     let predicted = |fold: usize| {
-        let others = normals.iter().enumerate().filter(|(other, _)| *other != fold);
         let mut normal = Normal::zeros(folds[fold].width);
-        for (_, other) in others {
+        for (_, other) in normals.iter().enumerate().filter(|(other, _)| *other != fold) {
             normal.matrix += &other.matrix;
             normal.right += &other.right;
         }

@@ -4,7 +4,7 @@
 //! and estimates `Pᵢ`, the absolute error is `Qᵢ⁻¹·S·Pᵢ` and the relative error over a frame is
 //! `(Qᵢ⁻¹·Qᵢ₊₁)⁻¹·(Pᵢ⁻¹·Pᵢ₊₁)`.
 
-use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba};
+use ground::geometry::{Pose, Rotation, angle_between, mean_vector, pose, rotation_by_wahba};
 use ground::time::NANOS_PER_SECOND;
 use nalgebra::Matrix3;
 
@@ -63,11 +63,8 @@ pub fn relative_pose_error(reference: &[Pose], estimate: &[Pose]) -> Option<Traj
 /// PAMI 1991, eq. 34 to 43). `None` if the positions are on a line or not finite.
 pub fn rigid_alignment(reference: &[Pose], estimate: &[Pose]) -> Option<Pose> {
     let count = reference.len().min(estimate.len());
-    let mean = |poses: &[Pose]| {
-        let sum: Vec3 = poses[..count].iter().map(|pose| pose.translation.vector).sum();
-        sum / count as f64
-    };
-    let (reference_mean, estimate_mean) = (mean(reference), mean(estimate));
+    let [reference_mean, estimate_mean] = [reference, estimate]
+        .map(|poses| mean_vector(poses[..count].iter().map(|pose| pose.translation.vector)));
     let covariance: Matrix3<f64> = reference
         .iter()
         .zip(estimate)
@@ -136,7 +133,7 @@ pub(crate) fn nearest_stamps(
 
 #[cfg(test)]
 mod tests {
-    use ground::geometry::rotation_from_rotvec;
+    use ground::geometry::{Vec3, rotation_from_rotvec};
 
     use super::*;
 

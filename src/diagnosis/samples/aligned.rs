@@ -2,6 +2,7 @@
 
 use crate::model::jacobian::pose_change;
 use ground::geometry::{Pose, Vec3, angle_between};
+use nalgebra::Point3;
 
 /// Poses of a stream and of FK, one entry per sample in each column.
 #[derive(Clone, Debug, Default)]
@@ -47,6 +48,17 @@ impl AlignedSamples {
     /// Corrected pose minus a predicted one: m, rotation vector in rad.
     pub(crate) fn residual(&self, row: usize, predicted: &Pose) -> [Vec3; 2] {
         pose_change(predicted, &self.corrected[row])
+    }
+
+    /// Corrected poses minus FK: positions of a point of the tip, m, and rotations, rad. At the origin of the tip, a
+    /// rotation error of a distant marker becomes a position error.
+    pub(crate) fn residuals(&self, point: Vec3) -> [Vec<Vec3>; 2] {
+        let point = Point3::from(point);
+        let residual = |(is, fk): (&Pose, &Pose)| {
+            let [_, turn] = pose_change(fk, is);
+            (is * point - fk * point, turn)
+        };
+        self.corrected.iter().zip(&self.fk_at_truth).map(residual).unzip().into()
     }
 
     /// Velocity of `fk_at_truth` in the frame of the logged poses, in the axes of the sample's base: m/s and rad/s.
