@@ -10,7 +10,6 @@ use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::joints::MIN_MOTION_RAD;
 use crate::model::observability::travel;
-use crate::priors::price;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{
     ArmDiagnosis, JointCoupling, JointEncoding, JointUnit, JointUnitError, PoseDiagnosis,
@@ -68,7 +67,7 @@ impl ArmRun<'_> {
         let gain = Gain { amount: system.best_value(best), ..gains[best] };
         // Usual sag and eccentricity have a larger effect than a smaller gain.
         let is_large = gain.amount.abs() * 0.5 * travel(&joints, gain.by) > USUAL_COMPLIANCE_RAD;
-        let is_worth_it = gained > price(system.independent()) + selection_price;
+        let is_worth_it = gained > system.price() + selection_price;
         (is_large && is_worth_it).then_some((gain, selection_price))
     }
 

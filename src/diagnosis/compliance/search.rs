@@ -7,7 +7,6 @@ use super::system::{Coefficient, ComplianceSystem};
 use super::term::{ComplianceKind, ComplianceTerm, MAX_COMPLIANCE_RAD};
 use crate::arm_run::ArmRun;
 use crate::joints::MIN_MOTION_RAD;
-use crate::priors::price;
 use crate::samples::sampling::value_range;
 use crate::selection::stepwise::{ScoredSet, grow};
 use crate::{ChangePoint, Course};
@@ -183,9 +182,8 @@ impl<'a> ComplianceSearch<'a> {
         };
         let every: Vec<usize> = (0..terms.len()).collect();
         let (without_terms, with_all) = (cost(&[]), cost(&every));
-        let price = price(system.independent());
         let min_worth = MIN_EXPLAINED_SHARE * (without_terms - with_all);
-        let worth = |&index: &usize| (price * terms[index].width() as f64).max(min_worth);
+        let worth = |&index: &usize| (system.price() * terms[index].width() as f64).max(min_worth);
         let score = |set: &[usize]| cost(set) + set.iter().map(worth).sum::<f64>();
         let candidates: Vec<usize> =
             every.into_iter().filter(|&index| is_candidate(&terms[index])).collect();

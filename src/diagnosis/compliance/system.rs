@@ -1,7 +1,7 @@
 //! Normal equations of compliance terms. All constant causes are free, links within their prior.
 
 use super::StreamSamples;
-use crate::priors::ZERO_PRIOR;
+use crate::priors::{ZERO_PRIOR, price};
 use crate::residuals::cause_columns::{VariableColumns, shared_equations};
 use crate::solver::linear::{Normal, SharedEquations, StreamEquations};
 use nalgebra::{DMatrix, DVector};
@@ -14,9 +14,7 @@ pub(super) struct Coefficient {
 
 /// Parameters are the coefficients, then the constant causes of each stream.
 pub(super) struct ComplianceSystem {
-    coefficients: usize,
     equations: SharedEquations,
-    normal: Normal,
     /// Equations of the coefficients, with the best constant causes.
     profiled: Normal,
 }
@@ -38,17 +36,17 @@ impl ComplianceSystem {
             equations.update_weights(&normal.full_step());
             normal = equations.normal();
         }
-        let coefficients = coefficients.len();
-        Self { profiled: normal.profiled(coefficients), coefficients, equations, normal }
+        Self { profiled: normal.profiled(coefficients.len()), equations }
     }
 
-    pub fn independent(&self) -> f64 {
-        self.normal.independent
+    /// Price of a coefficient.
+    pub fn price(&self) -> f64 {
+        price(self.profiled.independent)
     }
 
     /// Degrees of freedom besides the parameters.
     pub fn dof(&self) -> f64 {
-        self.normal.dof(self.normal.right.len())
+        self.profiled.dof(self.equations.prior.nrows())
     }
 
     /// Cost with the best values of these coefficients.
@@ -73,7 +71,8 @@ impl ComplianceSystem {
     /// Best values of all coefficients, and their covariance.
     pub fn estimate(&self) -> (DVector<f64>, DMatrix<f64>) {
         let covariance = self.equations.covariance();
-        let own = covariance.view((0, 0), (self.coefficients, self.coefficients)).into_owned();
-        (self.profiled.full_step(), own)
+        let values = self.profiled.full_step();
+        let own = covariance.view((0, 0), (values.len(), values.len())).into_owned();
+        (values, own)
     }
 }
