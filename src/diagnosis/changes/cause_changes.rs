@@ -292,12 +292,8 @@ impl<'a> Stream<'a> {
         };
         let (shift, turn) = (length(0), length(3));
         let (at_s, _) = change.profile.interval_s();
-        let base = match frame {
-            Frame::Reference => &self.found.reference,
-            Frame::Tool => &self.found.tool,
-        };
-        let base = base.as_ref().ok().filter(|frame| frame.is_chosen);
-        let base = base.map_or_else(Pose::identity, |frame| frame.pose);
+        let base = [&self.found.reference, &self.found.tool][frame as usize].as_ref().ok();
+        let base = base.filter(|base| base.is_chosen).map_or_else(Pose::identity, |base| base.pose);
         let others =
             all.iter().filter(|it| it.subject == change.subject && it.profile != change.profile);
         let of_others: Vector6<f64> =
@@ -568,11 +564,10 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
     loop {
         let steady = current.steady(streams);
         let equations = Equations::new(&steady, &current.changes, None);
-        let count = current.changes.len();
         if !found.iter().any(|it| it.candidate.has_changes_of(&current)) {
             found.push(Fitted::new(current.clone(), &steady, &equations));
         }
-        if count == MAX_CHANGES * streams.len() {
+        if current.changes.len() == MAX_CHANGES * streams.len() {
             break;
         }
         let next = |(stream, equations): (&Stream, &StreamEquations)| {
@@ -683,12 +678,10 @@ impl Removal {
             let lengths = lengths.filter(|(column, _)| frame.translation().contains(column));
             lengths.for_each(|(_, half)| *half *= from / to);
         }
-        let unexplained_m = |streams: &[Stream]| -> f64 {
-            streams.iter().map(|stream| stream.columns.unexplained_m()).sum()
-        };
         let after = Stream::all(run, &removal.after);
-        let explains_more =
-            after.len() >= streams.len() && unexplained_m(&after) < unexplained_m(&streams);
+        let [after_m, last_m] = [&after, &streams]
+            .map(|all| all.iter().map(|stream| stream.columns.unexplained_m()).sum::<f64>());
+        let explains_more = after.len() >= streams.len() && after_m < last_m;
         explains_more.then_some(removal)
     }
 

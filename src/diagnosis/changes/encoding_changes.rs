@@ -61,10 +61,11 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
     let run = SplitRun { arm: *arm, lags: &lags };
     // `None` if the motion determines it for no stream.
     let all_follow = |span: &Span| {
-        let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
-        let streams = with_tracks(run.arm.streams, &tracks);
-        let known = streams.iter().filter_map(|stream| follows_as_logged(&joints, stream));
-        known.reduce(|all, one| all && one)
+        run.within(*span, |part| {
+            let streams = part.streams.iter();
+            let known = streams.filter_map(|stream| follows_as_logged(part.joints, stream));
+            known.reduce(|all, one| all && one)
+        })
     };
     // Then each segment follows, even if its own motion does not determine the frames.
     if all_follow(&(f64::NEG_INFINITY, f64::INFINITY)) == Some(true) {
@@ -156,7 +157,7 @@ impl Segments {
     /// explained either, or the longest is not explained better than the run.
     fn diagnose(run: &SplitRun, spans: &[Span], residual_of_run_m: f64) -> Option<Self> {
         let longest = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
-        let diagnose = |span: Span| Segment { span, found: run.diagnose(span) };
+        let diagnose = |span: Span| Segment { span, found: run.within(span, |part| part.diagnose()) };
         let longest = (spans.len() > 1).then(|| diagnose(spans[longest]))?;
         let residual = residual_m(&longest.found);
         let is_far = longest.found.streams.iter().all(PoseDiagnosis::is_far_from_fk);

@@ -3,12 +3,11 @@
 use std::ops::Range;
 
 use super::jumps::Jump;
-use crate::ArmDiagnosis;
 use crate::arm_run::ArmRun;
 use crate::latency::compensation::{tracks_with_stamps, with_tracks};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::samples::sampling::rows_within;
-use ground::stream::{JointTrack, PoseTrack};
+use ground::stream::JointTrack;
 
 /// Change points are on the joint states' clock.
 pub(super) struct SplitRun<'a> {
@@ -60,7 +59,7 @@ impl SplitRun<'_> {
         (0..self.arm.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }
 
-    pub fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
+    fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
         let joints = self.arm.joints;
         let rows = rows_within(&joints.t_s, from_s, to_s);
         let mut segment = joints.at_rows(rows.clone());
@@ -76,16 +75,12 @@ impl SplitRun<'_> {
         segment
     }
 
-    pub fn tracks_in(&self, span: Span) -> Vec<Option<PoseTrack>> {
-        tracks_with_stamps(self.arm.streams, |s, t_s| {
+    /// Result of a function of a segment alone.
+    pub fn within<T>(&self, span: Span, of: impl FnOnce(&ArmRun) -> T) -> T {
+        let tracks = tracks_with_stamps(self.arm.streams, |s, t_s| {
             Some(self.rows(s, span).map(|row| (row, t_s[row])).collect())
-        })
-    }
-
-    /// Diagnoses a segment alone.
-    pub fn diagnose(&self, span: Span) -> ArmDiagnosis {
-        let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
+        });
         let streams = with_tracks(self.arm.streams, &tracks);
-        ArmRun { joints: &joints, streams: &streams, ..self.arm }.diagnose()
+        of(&ArmRun { joints: &self.joints_in(span), streams: &streams, ..self.arm })
     }
 }
