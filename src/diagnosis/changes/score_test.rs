@@ -76,6 +76,7 @@ impl ChangeKind {
 /// change.
 type Scored = (Profile, Range<usize>, f64);
 
+/// Samples in which a gradual profile is nearly constant.
 const BLOCK: usize = 16;
 
 struct ScoreTest<'a> {
