@@ -483,9 +483,8 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
 #[cfg(test)]
 mod tests {
     use super::{Cause, fit, with_timings};
-    use crate::arm::decode_joints;
+    use crate::arm::EncodedRun;
     use crate::encodings::decoded_stream::decode_stream;
-    use crate::encodings::position::PositionEncodingEstimate;
     use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
     use crate::{ArmDiagnosis, JointEncoding, Measured, diagnose_arm};
@@ -504,13 +503,13 @@ mod tests {
         });
         let stamps: Vec<f64> = joints.t_s.iter().map(|t_s| t_s * (1.0 + SKEW)).collect();
         let track = pose_track(&stamps, poses);
-        let stream = tip_stream(&track, &chain);
-        let corrected = decode_joints(&joints, &[stream], &JointEncoding::default());
-        let encoding =
-            PositionEncodingEstimate::estimate(corrected.approximate_track(), &stream, 1.0);
-        let decoded = decode_stream(&corrected, &stream, &encoding).expect("a stream");
+        let streams = [tip_stream(&track, &chain)];
+        let run = EncodedRun::new(&joints, &streams, 1.0, JointEncoding::default(), false);
+        let EncodedRun { corrected, position_encodings, .. } = &run;
+        let decoded =
+            decode_stream(corrected, &streams[0], &position_encodings[0]).expect("a stream");
         let observations = [&decoded.observations];
-        let mut fitted = fit(&[&decoded], &observations, &corrected).expect("a fit");
+        let mut fitted = fit(&[&decoded], &observations, corrected).expect("a fit");
         // As if the selection had missed it.
         fitted.model.causes.retain(|cause| *cause != Cause::Skew(0));
         let fitted = with_timings(fitted, &observations);
