@@ -2,16 +2,13 @@
 //! yaw that jumps, depends on the heading or settles after power-on differ only in block and profile.
 
 use super::estimates::ImuMountChange;
-use super::extension_tests::{ExtensionTests, ModelExtension};
+use super::extension_tests::ExtensionTests;
 use super::solve::{Model, Prior, Solved};
 use crate::priors::{BIAS_PRIOR_RAD_S, MOUNT_PRIOR_RAD, YAW_PRIOR_RAD};
 use crate::solver::linear::Rows;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use std::ops::Range;
 
-/// Knots of a random walk: at most this many, for a density known to 10 %, and at least this far apart.
-const MAX_KNOTS: f64 = 60.0;
-const MIN_KNOT_DISTANCE_S: f64 = 0.4;
 const MAX_EFFECTS: usize = 6;
 
 /// Parameters that may vary.
@@ -51,6 +48,13 @@ pub(super) enum Profile {
     Heading {
         axis: usize,
     },
+    /// Random walk of this density per √s, linear between knots. Its increments are not part of a model's state.
+    Walk {
+        density: f64,
+        first_s: f64,
+        step_s: f64,
+        increments: usize,
+    },
 }
 
 /// Kinds of profiles to test.
@@ -77,6 +81,10 @@ impl Profile {
                 let (sin_2, cos_2) = (2.0 * heading).sin_cos();
                 vec![sin, cos, sin_2, cos_2]
             }
+            Self::Walk { first_s, step_s, increments, .. } => {
+                let passed = (t_s - first_s) / step_s;
+                (0..increments).map(|k| (passed - k as f64).clamp(0.0, 1.0)).collect()
+            }
         }
     }
 
@@ -98,38 +106,9 @@ pub(super) struct Effect {
     pub columns: Range<usize>,
 }
 
-/// Random walk of the yaw, linear between knots.
-#[derive(Clone, Debug)]
-pub(super) struct Walk {
-    pub density: f64,
-    first_s: f64,
-    pub step_s: f64,
-    pub increments: usize,
-}
-
-impl Walk {
-    fn over(t_s: &[f64]) -> Option<Self> {
-        let (first_s, last) = (*t_s.first()?, *t_s.last()?);
-        let count = ((last - first_s) / MIN_KNOT_DISTANCE_S).min(MAX_KNOTS).floor();
-        let step_s = (last - first_s) / count;
-        (count > 2.0).then_some(Self { density: 0.0, first_s, step_s, increments: count as usize })
-    }
-
-    /// Share of each increment that has passed.
-    pub fn weights(&self, t_s: f64) -> impl Iterator<Item = f64> {
-        let passed = self.passed(t_s);
-        (0..self.increments).map(move |k| (passed - k as f64).clamp(0.0, 1.0))
-    }
-
-    /// Increment that passes at this time, and the share of it that has passed.
-    pub fn position(&self, t_s: f64) -> (usize, f64) {
-        let passed = self.passed(t_s);
-        let increment = (passed as usize).min(self.increments - 1);
-        (increment, (passed - increment as f64).clamp(0.0, 1.0))
-    }
-
-    fn passed(&self, t_s: f64) -> f64 {
-        (t_s - self.first_s) / self.step_s
+impl Effect {
+    fn is_walk(&self) -> bool {
+        matches!(self.profile, Profile::Walk { .. })
     }
 }
 
@@ -138,49 +117,50 @@ impl Walk {
 pub(super) struct Effects {
     own_width: usize,
     pub list: Vec<Effect>,
-    pub walk: Option<Walk>,
 }
 
 impl Effects {
     pub fn new(own_width: usize) -> Self {
-        Self { own_width, list: Vec::new(), walk: None }
-    }
-
-    fn end(&self) -> usize {
-        self.list.last().map_or(self.own_width, |effect| effect.columns.end)
+        Self { own_width, list: Vec::new() }
     }
 
     /// Width of the design.
     pub fn width(&self) -> usize {
-        self.end() + self.walk.as_ref().map_or(0, |walk| walk.increments)
+        self.list.last().map_or(self.own_width, |effect| effect.columns.end)
     }
 
-    pub fn columns(&self) -> Range<usize> {
-        self.own_width..self.end()
+    /// Columns of the effects that are part of the state.
+    pub fn columns(&self) -> impl Iterator<Item = usize> {
+        self.list
+            .iter()
+            .filter(|effect| !effect.is_walk())
+            .flat_map(|effect| effect.columns.clone())
     }
 
     /// Priors of all effects and of the increments of a walk.
-    pub fn priors(&self) -> Vec<Prior> {
-        let of_effect = |effect: &Effect| {
-            let variance = effect.block.prior().powi(2);
-            let columns = effect.columns.clone().zip(effect.values.clone());
-            columns.map(move |(column, value)| Prior { column, variance, value })
-        };
-        let walk = self.walk.iter().flat_map(|walk| {
-            let variance = walk.density.powi(2) * walk.step_s;
-            (self.end()..self.width()).map(move |column| Prior { column, variance, value: 0.0 })
-        });
-        self.list.iter().flat_map(of_effect).chain(walk).collect()
+    pub fn priors(&self) -> impl Iterator<Item = Prior> {
+        self.list.iter().flat_map(|effect| {
+            let variance = match effect.profile {
+                Profile::Walk { density, step_s, .. } => density.powi(2) * step_s,
+                _ => effect.block.prior().powi(2),
+            };
+            let columns = effect.columns.clone().zip(&effect.values);
+            columns.map(move |(column, &value)| Prior { column, variance, value })
+        })
     }
 
     pub fn of(&self, block: Block) -> impl Iterator<Item = &Effect> {
         self.list.iter().filter(move |effect| effect.block == block)
     }
 
+    pub fn has_walk(&self) -> bool {
+        self.list.iter().any(Effect::is_walk)
+    }
+
     /// Sum of the effects on a block; its first entries.
     pub fn sum(&self, block: Block, t_s: f64, world_from_imu: &Rotation) -> Vec3 {
         let mut sum = Vec3::zeros();
-        for effect in self.of(block) {
+        for effect in self.of(block).filter(|effect| !effect.is_walk()) {
             let weights = effect.profile.weights(t_s, world_from_imu);
             let each = effect.values.len() / weights.len();
             for (values, weight) in effect.values.chunks_exact(each).zip(weights) {
@@ -209,33 +189,27 @@ impl Effects {
         Some(ImuMountChange { at_s, interval_s, link_from_imu: link_from_imu * slip, size_rad })
     }
 
-    /// Sets the derivatives by the effects, given those by the parameters of the blocks.
+    /// Sets the derivatives by the effects, given those by the parameters of the mount and of the other block that
+    /// varies.
     pub fn set_rows(
         &self,
         rows: &mut Rows,
         t_s: f64,
         world_from_imu: &Rotation,
-        derivatives: impl Fn(Block) -> Vec<Vec3>,
+        by_mount: &[Vec3],
+        by_other: &[Vec3],
     ) {
         for effect in &self.list {
-            let derivatives = derivatives(effect.block);
+            let derivatives = if effect.block == Block::Mount { by_mount } else { by_other };
             let weights = effect.profile.weights(t_s, world_from_imu);
             let products =
                 weights.iter().flat_map(|weight| derivatives.iter().map(move |d| d * *weight));
-            for (column, derivative) in effect.columns.clone().zip(products) {
-                rows.set(0, column, derivative);
-            }
-        }
-        if let Some(walk) = &self.walk {
-            let by_yaw = derivatives(Block::Yaw)[0];
-            for (column, weight) in (self.end()..).zip(walk.weights(t_s)) {
-                rows.set(0, column, by_yaw * weight);
-            }
+            rows.set_from(effect.columns.start, products);
         }
     }
 
     pub fn apply(&mut self, delta: &[f64]) {
-        for effect in &mut self.list {
+        for effect in self.list.iter_mut().filter(|effect| !effect.is_walk()) {
             let step = &delta[effect.columns.clone()];
             if effect.block == Block::Mount {
                 let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values))
@@ -258,7 +232,7 @@ impl Effects {
 
     fn push(&mut self, block: Block, profile: Profile, parameters: usize) {
         let functions = profile.weights(0.0, &Rotation::identity()).len();
-        let columns = self.end()..self.end() + functions * parameters;
+        let columns = self.width()..self.width() + functions * parameters;
         self.list.push(Effect { block, profile, values: vec![0.0; columns.len()], columns });
     }
 }
@@ -272,7 +246,7 @@ pub(super) fn add_likeliest_effects<M: Model>(
     let mut solved = fit(&mut model);
     for _ in 0..MAX_EFFECTS {
         let Some(mut extended) = with_likeliest_effect(&model, candidates) else { break };
-        let wanders = extended.effects().walk.is_some() && model.effects().walk.is_none();
+        let wanders = extended.effects().has_walk() && !model.effects().has_walk();
         if wanders && model.effects().of(Block::Yaw).next().is_some() {
             // The walk was taken for other effects on the yaw. Its density is estimated without them.
             model.effects().remove(Block::Yaw);
@@ -287,89 +261,44 @@ pub(super) fn add_likeliest_effects<M: Model>(
     (model, solved)
 }
 
-/// Candidate for [`with_likeliest_effect`].
-enum Addition {
-    Effect(Block, Profile),
-    Walk(Walk),
-}
-
-fn step_at(test: &ModelExtension) -> Profile {
-    Profile::Step { at_s: test.at, interval_s: test.interval_s }
-}
-
 fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> Option<M> {
-    let linearization = model.linearize();
-    let t_s = &linearization.t_s;
     let mut base = model.tested_with();
     for Prior { column, variance, .. } in model.priors() {
         base.retain(|parameter| parameter.0 != column);
         base.push((column, variance.recip()));
     }
-    let tests = ExtensionTests::new(&linearization.linear, t_s, &base, M::MODEL_ERROR)?;
+    let linearization = model.linearize();
+    let tests = ExtensionTests::new(&linearization, &base, M::MODEL_ERROR)?;
     let mut extended = model.clone();
-    let effects = extended.effects().clone();
+    let effects = extended.effects();
     let is_free = |&&(block, shape): &&(Block, Shape)| match (block, shape) {
-        (Block::Yaw, Shape::Walk) => effects.walk.is_none(),
+        (Block::Yaw, Shape::Walk) => !effects.has_walk(),
         (Block::Yaw, Shape::Step) | (Block::World, _) => true,
-        (Block::Yaw, _) => effects.of(block).all(|effect| effect.profile.change_s().is_some()),
+        (Block::Yaw, _) => {
+            effects.of(block).all(|effect| effect.is_walk() || effect.profile.change_s().is_some())
+        }
         _ => effects.of(block).next().is_none(),
     };
-    let first_s = *t_s.first()?;
-    let mut found: Vec<(f64, Addition)> = Vec::new();
-    for &(block, shape) in candidates.iter().filter(is_free) {
-        let (columns, size) = (model.columns_of(block), block.prior());
-        let effect = |test: ModelExtension, profile| {
-            (test.log_bayes_factor, Addition::Effect(block, profile))
-        };
-        match shape {
-            Shape::Step => {
-                let test = tests.step(&columns, size);
-                found.extend(test.map(|test| effect(test, step_at(&test))));
-            }
-            Shape::Decay => {
-                let test = tests.decay(&columns, size);
-                let profile = |time_constant_s| Profile::Decay { first_s, time_constant_s };
-                found.extend(test.map(|test| effect(test, profile(test.at))));
-            }
-            Shape::Heading => found.extend((0..3).filter_map(|axis| {
-                let profile = Profile::Heading { axis };
-                let moments = t_s.iter().zip(&linearization.world_from_imu);
-                let by_sample: Vec<Vec<f64>> =
-                    moments.map(|(t_s, rotation)| profile.weights(*t_s, rotation)).collect();
-                let functions = (0..by_sample.first().map_or(0, Vec::len))
-                    .map(|function| by_sample.iter().map(|all| all[function]).collect())
-                    .collect();
-                Some(effect(tests.best_extension(&columns, functions, size)?, profile))
-            })),
-            Shape::Walk => found.extend(Walk::over(t_s).and_then(|walk| {
-                let test = tests.walk(columns[0], &walk)?;
-                let walk = Walk { density: test.at, ..walk };
-                Some((test.log_bayes_factor, Addition::Walk(walk)))
-            })),
-        }
-    }
-    // The first of equally likely ones.
-    let likely = found.into_iter().rev().filter(|one| one.0 > 0.0);
-    let (_, addition) = likely.max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let mut push = |block: Block, profile: Profile| {
-        extended.effects().push(block, profile, model.columns_of(block).len());
+    let test = |&(block, shape): &(Block, Shape)| {
+        let (log_bayes_factor, profile) =
+            tests.likeliest(M::columns_of(block), shape, block.prior())?;
+        (log_bayes_factor > 0.0).then_some((log_bayes_factor, block, profile))
     };
-    match addition {
+    // The first of equally likely ones.
+    let found = candidates.iter().rev().filter(is_free).filter_map(test);
+    let (_, block, profile) = match found.max_by(|a, b| a.0.total_cmp(&b.0))? {
         // Only the yaw of the world is reported.
-        Addition::Effect(Block::World, _) => {
-            let yaw = tests.step(&model.columns_of(Block::Yaw), Block::World.prior())?;
-            (yaw.log_bayes_factor > 0.0).then(|| push(Block::Yaw, step_at(&yaw)))?;
-        }
-        Addition::Effect(block, profile) => push(block, profile),
-        Addition::Walk(walk) => extended.effects().walk = Some(walk),
-    }
+        (_, Block::World, _) => test(&(Block::Yaw, Shape::Step))?,
+        likeliest => likeliest,
+    };
+    effects.push(block, profile, M::columns_of(block).len());
     Some(extended)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imu::solve::{DesignNoise, Linearization, solve};
+    use crate::imu::solve::{DesignNoise, Linearization, Moment, solve};
     use crate::solver::linear::Linear;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -420,11 +349,12 @@ mod tests {
                 let yaw = self.effects.sum(Block::Yaw, t_s, &Rotation::identity()).x;
                 let fitted = self.offset[0] + self.offset[1] * (t_s - 10.0) + yaw;
                 let mut rows = linear.push(&[error - Vec3::z() * fitted]);
-                rows.set(0, 0, Vec3::z());
-                rows.set(0, 1, Vec3::z() * (t_s - 10.0));
-                self.effects.set_rows(&mut rows, t_s, &Rotation::identity(), |_| vec![Vec3::z()]);
+                rows.set_from(0, [Vec3::z(), Vec3::z() * (t_s - 10.0)]);
+                let world_from_imu = Rotation::identity();
+                self.effects.set_rows(&mut rows, t_s, &world_from_imu, &[], &[Vec3::z()]);
             }
-            Linearization { linear, t_s: self.t_s.clone(), world_from_imu: Vec::new() }
+            let moment = |&t_s: &f64| Moment { t_s, world_from_imu: Rotation::identity() };
+            Linearization { linear, moments: self.t_s.iter().map(moment).collect() }
         }
 
         fn design_noise(&self) -> DesignNoise {
@@ -440,16 +370,16 @@ mod tests {
             &mut self.effects
         }
 
-        fn columns_of(&self, _: Block) -> Vec<usize> {
-            vec![0]
+        fn columns_of(_: Block) -> Range<usize> {
+            0..1
         }
 
         fn tested_with(&self) -> Vec<(usize, f64)> {
-            [0, 1].into_iter().chain(self.effects.columns()).map(|column| (column, 0.0)).collect()
+            vec![(0, 0.0), (1, 0.0)]
         }
 
         fn priors(&self) -> Vec<Prior> {
-            self.effects.priors()
+            self.effects.priors().collect()
         }
     }
 
@@ -458,7 +388,7 @@ mod tests {
         let steady = (0..60).filter(|&seed| {
             let rho = if seed % 2 == 0 { 0.0 } else { 0.95 };
             let (model, _) = Series::new(seed, rho, 0.0, |t_s| 1e-3 * t_s).fitted();
-            model.effects.list.is_empty() && model.effects.walk.is_none()
+            model.effects.list.is_empty()
         });
         assert_eq!(steady.count(), 60);
     }
@@ -474,7 +404,6 @@ mod tests {
             let (at_s, _) = found.profile.change_s().expect("a step");
             assert!((at_s - 7.123).abs() < 0.1, "{found:?}");
             assert!((found.values[0] - size).abs() < 5e-4, "{found:?}");
-            assert!(model.effects.walk.is_none());
             let drift = solved.measure(1, model.offset[1]).expect("a drift");
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
         }
@@ -486,10 +415,14 @@ mod tests {
         let mut ratios = Vec::new();
         for seed in 0..60 {
             let (model, solved) = Series::new(seed, 0.0, 2e-3, |_| 0.0).fitted();
-            let density = model.effects.walk.as_ref().map_or(0.0, |walk| walk.density);
+            let density = |effect: &Effect| match effect.profile {
+                Profile::Walk { density, .. } => Some(density),
+                _ => None,
+            };
+            let density = model.effects.list.iter().find_map(density).unwrap_or(0.0);
             walks += usize::from((1e-3..4e-3).contains(&density));
             ratios.push(density / 2e-3);
-            others += model.effects.list.len();
+            others += model.effects.list.iter().filter(|effect| !effect.is_walk()).count();
             let [low, high] = solved.measure(1, model.offset[1]).expect("a drift").interval(0.95);
             covered += usize::from((low..=high).contains(&0.0));
         }
@@ -509,8 +442,8 @@ mod tests {
     fn a_jump_is_detected_within_a_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
         let (model, _) = Series::new(9, 0.0, 1e-3, jump).fitted();
-        assert_eq!(model.effects.list.len(), 1, "{:?}", model.effects);
-        assert!(model.effects.walk.is_some(), "{:?}", model.effects);
+        assert_eq!(model.effects.list.len(), 2, "{:?}", model.effects);
+        assert!(model.effects.has_walk(), "{:?}", model.effects);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
-use super::solve::{DesignNoise, Linearization, Model, Prior, Solved, solve};
+use super::solve::{DesignNoise, Linearization, Model, Moment, Prior, Solved, solve};
 use super::{
     Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, mount_of,
 };
@@ -248,10 +248,7 @@ impl OrientationModel<'_> {
     }
 
     fn yaw_profile(&self, solved: &Solved) -> YawProfile {
-        let mut profile = YawProfile {
-            walk_rad_per_sqrt_s: self.effects.walk.as_ref().map(|walk| walk.density),
-            ..YawProfile::default()
-        };
+        let mut profile = YawProfile::default();
         for effect in self.effects.of(Block::Yaw) {
             let size = || solved.measure(effect.columns.start, effect.values[0]).ok();
             match effect.profile {
@@ -266,14 +263,14 @@ impl OrientationModel<'_> {
                     });
                 }
                 Profile::Heading { axis } => {
-                    let linearization = self.linearize();
-                    let moments = linearization.t_s.iter().zip(&linearization.world_from_imu);
                     let values = DVector::from_column_slice(&effect.values);
-                    let error = |(t_s, rotation): (&f64, &Rotation)| {
-                        let weights = DVector::from_vec(effect.profile.weights(*t_s, rotation));
+                    let error = |Moment { t_s, world_from_imu }: &Moment| {
+                        let weights = effect.profile.weights(*t_s, world_from_imu);
+                        let weights = DVector::from_vec(weights);
                         (weights.dot(&values), weights)
                     };
-                    let errors: Vec<(f64, DVector<f64>)> = moments.map(error).collect();
+                    let errors: Vec<(f64, DVector<f64>)> =
+                        self.linearize().moments.iter().map(error).collect();
                     let min = errors.iter().min_by(|a, b| a.0.total_cmp(&b.0));
                     let max = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0));
                     profile.heading = min.zip(max).and_then(|(min, max)| {
@@ -285,6 +282,7 @@ impl OrientationModel<'_> {
                         Some(HeadingError { amplitude_rad, axis })
                     });
                 }
+                Profile::Walk { density, .. } => profile.walk_rad_per_sqrt_s = Some(density),
             }
         }
         profile.jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
@@ -350,14 +348,14 @@ impl OrientationModel<'_> {
     /// from the vertical, or none if every axis comes too close.
     fn yaw_error(&self) -> (Vec<(f64, f64)>, Vec<HeadingPair>) {
         const MAX_VERTICAL_COSINE: f64 = 0.97;
-        let Linearization { linear, t_s, world_from_imu } = self.linearize();
-        let moments = t_s.iter().zip(&world_from_imu).zip(&linear.residual[0]);
-        let error = |((t_s, rotation), residual): ((&f64, &Rotation), &Vec3)| {
-            (*t_s, self.yaw_at(*t_s, rotation) + residual[2])
+        let Linearization { linear, moments } = self.linearize();
+        let error = |(Moment { t_s, world_from_imu }, residual): (&Moment, &Vec3)| {
+            (*t_s, self.yaw_at(*t_s, world_from_imu) + residual[2])
         };
-        let errors: Vec<(f64, f64)> = moments.map(error).collect();
-        let points =
-            |axis: usize| world_from_imu.iter().map(move |by_fk| by_fk * Vec3::ith(axis, 1.0));
+        let errors: Vec<(f64, f64)> = moments.iter().zip(&linear.residual[0]).map(error).collect();
+        let points = |axis: usize| {
+            moments.iter().map(move |moment| moment.world_from_imu * Vec3::ith(axis, 1.0))
+        };
         let max_vertical =
             |axis: usize| points(axis).map(|point| point.z.abs()).fold(0.0, f64::max);
         let axes = (0..3).map(|axis| (max_vertical(axis), axis));
@@ -393,7 +391,7 @@ impl Model for OrientationModel<'_> {
     fn linearize(&self) -> Linearization {
         let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD]);
         linear.reserve(self.samples.len());
-        let (mut t_s, mut world_from_imu) = (Vec::new(), Vec::new());
+        let mut moments = Vec::new();
         let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
         for &(stamp, truth) in &self.samples {
             let truth_s = self.delay.truth_s(stamp);
@@ -414,25 +412,18 @@ impl Model for OrientationModel<'_> {
             rows.set(0, Self::DRIFT, Vec3::z() * since);
             let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
             let before_slip = mount.inverse() * self.link_from_imu;
-            for (axis, unit) in units.iter().enumerate() {
-                rows.set(0, Self::WORLD.start + axis, yaw_rotation * unit);
-                rows.set(0, Self::MOUNT.start + axis, predicted * (before_slip * unit));
-            }
+            rows.set_from(Self::WORLD.start, units.map(|unit| yaw_rotation * unit));
+            rows.set_from(Self::MOUNT.start, units.map(|unit| predicted * (before_slip * unit)));
             self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
             let inner = frames.iter().take(self.link.inner_links());
             let by_links =
                 inner.flat_map(|frame| units.map(|unit| world * (frame.rotation * unit)));
-            for (column, derivative) in (Self::LINKS_START..).zip(by_links) {
-                rows.set(0, column, derivative);
-            }
-            self.effects.set_rows(&mut rows, stamp, &by_fk, |block| match block {
-                Block::Mount => units.iter().map(|unit| predicted * unit).collect(),
-                _ => vec![Vec3::z()],
-            });
-            t_s.push(stamp);
-            world_from_imu.push(by_fk);
+            rows.set_from(Self::LINKS_START, by_links);
+            let by_mount = units.map(|unit| predicted * unit);
+            self.effects.set_rows(&mut rows, stamp, &by_fk, &by_mount, &[Vec3::z()]);
+            moments.push(Moment { t_s: stamp, world_from_imu: by_fk });
         }
-        Linearization { linear, t_s, world_from_imu }
+        Linearization { linear, moments }
     }
 
     /// FK noise in the columns of mount and delay.
@@ -468,17 +459,17 @@ impl Model for OrientationModel<'_> {
         &mut self.effects
     }
 
-    fn columns_of(&self, block: Block) -> Vec<usize> {
+    fn columns_of(block: Block) -> Range<usize> {
         match block {
-            Block::Mount => Self::MOUNT.collect(),
-            Block::World => Self::WORLD.collect(),
+            Block::Mount => Self::MOUNT,
+            Block::World => Self::WORLD,
             // About the vertical.
-            _ => vec![Self::WORLD.end - 1],
+            _ => Self::WORLD.end - 1..Self::WORLD.end,
         }
     }
 
     fn tested_with(&self) -> Vec<(usize, f64)> {
-        (0..Self::LINKS_START).chain(self.effects.columns()).map(|column| (column, 0.0)).collect()
+        (0..Self::LINKS_START).map(|column| (column, 0.0)).collect()
     }
 
     /// Rotations of the links between the first and the last joint, and effects.

@@ -25,9 +25,9 @@ pub(super) trait Model: Clone {
 
     fn effects(&mut self) -> &mut Effects;
 
-    fn columns_of(&self, block: Block) -> Vec<usize>;
+    fn columns_of(block: Block) -> Range<usize>;
 
-    /// Parameters that are fitted while effects are tested, with the precision of their prior about zero.
+    /// Own parameters that are fitted while effects are tested, with the precision of their prior about zero.
     fn tested_with(&self) -> Vec<(usize, f64)>;
 
     /// Columns with a normal prior about zero. They are always fitted.
@@ -44,9 +44,13 @@ pub(super) struct Prior {
 pub(super) struct Linearization {
     pub linear: Linear,
     /// Per sample.
-    pub t_s: Vec<f64>,
-    /// Per sample, without yaw error; empty if there is no world.
-    pub world_from_imu: Vec<Rotation>,
+    pub moments: Vec<Moment>,
+}
+
+pub(super) struct Moment {
+    pub t_s: f64,
+    /// Without yaw error; the identity if there is no world.
+    pub world_from_imu: Rotation,
 }
 
 /// Noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*, 1987, §2.2).

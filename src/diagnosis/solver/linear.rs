@@ -37,6 +37,11 @@ impl Rows<'_> {
         }
     }
 
+    /// Sets the derivatives of the first kind by the columns from `first` on.
+    pub fn set_from(&mut self, first: usize, derivatives: impl IntoIterator<Item = Vec3>) {
+        (first..).zip(derivatives).for_each(|(column, own)| self.set(0, column, own));
+    }
+
     /// The same for every kind.
     pub fn set_all<const N: usize>(&mut self, column: usize, derivatives: [Vec3; N]) {
         derivatives.into_iter().enumerate().for_each(|(kind, own)| self.set(kind, column, own));
