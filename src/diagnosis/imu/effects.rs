@@ -1,9 +1,9 @@
 //! Effects: a block of parameters times a profile over the run. A gyro bias that steps, a mount that slips, a
 //! yaw that jumps, depends on the heading or settles after power-on differ only in block and profile.
 
-use super::estimates::ImuMountChange;
 use super::extension_tests::ExtensionTests;
-use super::solve::{Model, Prior, Solved};
+use super::model::{Model, Prior};
+use super::solve::Solved;
 use crate::priors::{BIAS_PRIOR_RAD_S, MOUNT_PRIOR_RAD, YAW_PRIOR_RAD};
 use crate::solver::linear::Rows;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -170,25 +170,6 @@ impl Effects {
         sum
     }
 
-    /// `link_from_imu` at this time, from that at the start.
-    pub fn mount_at(&self, link_from_imu: &Rotation, t_s: f64) -> Rotation {
-        let slip = self.sum(Block::Mount, t_s, &Rotation::identity());
-        link_from_imu * rotation_from_rotvec(slip)
-    }
-
-    /// Slip of the mount.
-    pub fn mount_change(
-        &self,
-        link_from_imu: &Rotation,
-        solved: &Solved,
-    ) -> Option<ImuMountChange> {
-        let effect = self.of(Block::Mount).next()?;
-        let (at_s, interval_s) = effect.profile.change_s()?;
-        let size_rad = solved.length(effect.columns.clone(), &effect.values).ok()?;
-        let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values));
-        Some(ImuMountChange { at_s, interval_s, link_from_imu: link_from_imu * slip, size_rad })
-    }
-
     /// Sets the derivatives by the effects, given those by the parameters of the mount and of the other block that
     /// varies.
     pub fn set_rows(
@@ -241,22 +222,21 @@ impl Effects {
 pub(super) fn add_likeliest_effects<M: Model>(
     mut model: M,
     candidates: &[(Block, Shape)],
-    fit: impl Fn(&mut M) -> Solved,
 ) -> (M, Solved) {
-    let mut solved = fit(&mut model);
+    let mut solved = model.fit();
     for _ in 0..MAX_EFFECTS {
         let Some(mut extended) = with_likeliest_effect(&model, candidates) else { break };
-        let wanders = extended.effects().has_walk() && !model.effects().has_walk();
-        if wanders && model.effects().of(Block::Yaw).next().is_some() {
+        let wanders = extended.common().effects.has_walk() && !model.common().effects.has_walk();
+        if wanders && model.common().effects.of(Block::Yaw).next().is_some() {
             // The walk was taken for other effects on the yaw. Its density is estimated without them.
-            model.effects().remove(Block::Yaw);
-            fit(&mut model);
+            model.common().effects.remove(Block::Yaw);
+            model.fit();
             let with_walk = with_likeliest_effect(&model, &[(Block::Yaw, Shape::Walk)]);
             model = with_walk.unwrap_or(extended);
         } else {
             model = extended;
         }
-        solved = fit(&mut model);
+        solved = model.fit();
     }
     (model, solved)
 }
@@ -270,7 +250,7 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
     let linearization = model.linearize();
     let tests = ExtensionTests::new(&linearization, &base, M::MODEL_ERROR)?;
     let mut extended = model.clone();
-    let effects = extended.effects();
+    let effects = &mut extended.common().effects;
     let is_free = |&&(block, shape): &&(Block, Shape)| match (block, shape) {
         (Block::Yaw, Shape::Walk) => !effects.has_walk(),
         (Block::Yaw, Shape::Step) | (Block::World, _) => true,
@@ -298,8 +278,8 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imu::solve::{DesignNoise, Linearization, Moment, solve};
-    use crate::solver::linear::Linear;
+    use crate::imu::Delay;
+    use crate::imu::model::{CommonParameters, Linearization, Moment, Sample};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -312,10 +292,13 @@ mod tests {
         t_s: Vec<f64>,
         errors: Vec<Vec3>,
         offset: [f64; 2],
-        effects: Effects,
+        common: CommonParameters,
     }
 
     impl Series {
+        const OFFSET: usize = CommonParameters::WIDTH;
+        const DRIFT: usize = Self::OFFSET + 1;
+
         /// 20 s with `error`, autoregressive noise and a random walk of density `walk`.
         fn new(seed: u64, rho: f64, walk: f64, error: impl Fn(f64) -> f64) -> Self {
             let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
@@ -328,58 +311,67 @@ mod tests {
                 wandered += walk * RATE_HZ.sqrt().recip() * normal();
                 NOISE_RAD * noise + Vec3::z() * (error(t_s) + wandered)
             });
-            Self { errors: errors.collect(), t_s, offset: [0.0; 2], effects: Effects::new(2) }
+            let errors = errors.collect();
+            let delay = Delay { latency_s: 0.0, skew: 0.0, middle_s: 10.0 };
+            let mount = Rotation::identity();
+            let common = CommonParameters::new(delay, mount, false, Self::DRIFT + 1);
+            Self { errors, t_s, offset: [0.0; 2], common }
         }
 
         fn fitted(self) -> (Self, Solved) {
             let shapes = [Shape::Step, Shape::Decay, Shape::Walk].map(|shape| (Block::Yaw, shape));
-            add_likeliest_effects(self, &shapes, |model| {
-                let free: Vec<usize> = [0, 1].into_iter().chain(model.effects.columns()).collect();
-                solve(model, &free)
-            })
+            add_likeliest_effects(self, &shapes)
         }
     }
 
     impl Model for Series {
         const MODEL_ERROR: f64 = 1e-6;
 
-        fn linearize(&self) -> Linearization {
-            let mut linear = Linear::new(self.effects.width(), &[1e-6]);
-            for (&t_s, error) in self.t_s.iter().zip(&self.errors) {
-                let yaw = self.effects.sum(Block::Yaw, t_s, &Rotation::identity()).x;
-                let fitted = self.offset[0] + self.offset[1] * (t_s - 10.0) + yaw;
-                let mut rows = linear.push(&[error - Vec3::z() * fitted]);
-                rows.set_from(0, [Vec3::z(), Vec3::z() * (t_s - 10.0)]);
-                let world_from_imu = Rotation::identity();
-                self.effects.set_rows(&mut rows, t_s, &world_from_imu, &[], &[Vec3::z()]);
-            }
-            let moment = |&t_s: &f64| Moment { t_s, world_from_imu: Rotation::identity() };
-            Linearization { linear, moments: self.t_s.iter().map(moment).collect() }
+        fn common(&mut self) -> &mut CommonParameters {
+            &mut self.common
         }
 
-        fn design_noise(&self) -> DesignNoise {
-            DesignNoise::zeros(self.effects.width())
+        fn linearize(&self) -> Linearization {
+            let mut linearization = Linearization::new(&self.common, self.t_s.len(), 1e-6);
+            for (&t_s, error) in self.t_s.iter().zip(&self.errors) {
+                let world_from_imu = Rotation::identity();
+                let yaw = self.common.effects.sum(Block::Yaw, t_s, &world_from_imu).x;
+                let since_s = t_s - self.common.delay.middle_s;
+                let fitted = self.offset[0] + self.offset[1] * since_s + yaw;
+                let sample = Sample {
+                    moment: Moment { t_s, world_from_imu },
+                    residual: error - Vec3::z() * fitted,
+                    by_latency: None,
+                    since_middle_s: since_s,
+                    mount: Rotation::identity(),
+                    by_mount: [Vec3::zeros(); 3],
+                    by_own: (Self::OFFSET, &[Vec3::z(), Vec3::z() * since_s]),
+                    by_other_block: &[Vec3::z()],
+                };
+                linearization.push(&self.common, sample);
+            }
+            linearization
         }
 
         fn apply(&mut self, delta: &[f64]) {
-            self.offset.iter_mut().zip(delta).for_each(|(offset, delta)| *offset += delta);
-            self.effects.apply(delta);
+            let own = &delta[Self::OFFSET..];
+            self.offset.iter_mut().zip(own).for_each(|(offset, delta)| *offset += delta);
         }
 
-        fn effects(&mut self) -> &mut Effects {
-            &mut self.effects
+        fn free(&self) -> Vec<usize> {
+            vec![Self::OFFSET, Self::DRIFT]
         }
 
         fn columns_of(_: Block) -> Range<usize> {
-            0..1
+            Self::OFFSET..Self::OFFSET + 1
         }
 
         fn tested_with(&self) -> Vec<(usize, f64)> {
-            vec![(0, 0.0), (1, 0.0)]
+            vec![(Self::OFFSET, 0.0), (Self::DRIFT, 0.0)]
         }
 
         fn priors(&self) -> Vec<Prior> {
-            self.effects.priors().collect()
+            self.common.effects.priors().collect()
         }
     }
 
@@ -388,7 +380,7 @@ mod tests {
         let steady = (0..60).filter(|&seed| {
             let rho = if seed % 2 == 0 { 0.0 } else { 0.95 };
             let (model, _) = Series::new(seed, rho, 0.0, |t_s| 1e-3 * t_s).fitted();
-            model.effects.list.is_empty()
+            model.common.effects.list.is_empty()
         });
         assert_eq!(steady.count(), 60);
     }
@@ -398,13 +390,13 @@ mod tests {
         for (rho, size) in [(0.0, 0.01), (0.0, -0.003), (0.95, 0.01), (0.95, -0.2)] {
             let jump = |t_s: f64| if t_s > 7.123 { size } else { 0.0 };
             let (model, solved) = Series::new(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)).fitted();
-            let [found] = model.effects.list.as_slice() else {
-                panic!("{rho} {size}: {:?}", model.effects)
+            let [found] = model.common.effects.list.as_slice() else {
+                panic!("{rho} {size}: {:?}", model.common.effects)
             };
             let (at_s, _) = found.profile.change_s().expect("a step");
             assert!((at_s - 7.123).abs() < 0.1, "{found:?}");
             assert!((found.values[0] - size).abs() < 5e-4, "{found:?}");
-            let drift = solved.measure(1, model.offset[1]).expect("a drift");
+            let drift = solved.measure(Series::DRIFT, model.offset[1]).expect("a drift");
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
         }
     }
@@ -419,11 +411,12 @@ mod tests {
                 Profile::Walk { density, .. } => Some(density),
                 _ => None,
             };
-            let density = model.effects.list.iter().find_map(density).unwrap_or(0.0);
+            let density = model.common.effects.list.iter().find_map(density).unwrap_or(0.0);
             walks += usize::from((1e-3..4e-3).contains(&density));
             ratios.push(density / 2e-3);
-            others += model.effects.list.iter().filter(|effect| !effect.is_walk()).count();
-            let [low, high] = solved.measure(1, model.offset[1]).expect("a drift").interval(0.95);
+            others += model.common.effects.list.iter().filter(|effect| !effect.is_walk()).count();
+            let [low, high] =
+                solved.measure(Series::DRIFT, model.offset[1]).expect("a drift").interval(0.95);
             covered += usize::from((low..=high).contains(&0.0));
         }
         assert!(walks >= 51 && others <= 12 && covered >= 51, "{walks} {others} {covered}");
@@ -435,24 +428,24 @@ mod tests {
     fn a_part_that_no_effect_explains_has_none() {
         let unrelated = |t_s: f64| if t_s < 2.2 { (3.0 * t_s).sin() } else { 0.0 };
         let (model, _) = Series::new(4, 0.5, 0.0, unrelated).fitted();
-        assert!(model.effects.list.is_empty(), "{:?}", model.effects);
+        assert!(model.common.effects.list.is_empty(), "{:?}", model.common.effects);
     }
 
     #[test]
     fn a_jump_is_detected_within_a_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
         let (model, _) = Series::new(9, 0.0, 1e-3, jump).fitted();
-        assert_eq!(model.effects.list.len(), 2, "{:?}", model.effects);
-        assert!(model.effects.has_walk(), "{:?}", model.effects);
+        assert_eq!(model.common.effects.list.len(), 2, "{:?}", model.common.effects);
+        assert!(model.common.effects.has_walk(), "{:?}", model.common.effects);
     }
 
     #[test]
     fn a_decay_is_estimated_with_its_time_constant() {
         let (model, _) = Series::new(3, 0.5, 0.0, |t_s| 0.02 * (-t_s / 4.0).exp()).fitted();
         let [Effect { profile: Profile::Decay { time_constant_s, .. }, values, .. }] =
-            model.effects.list.as_slice()
+            model.common.effects.list.as_slice()
         else {
-            panic!("{:?}", model.effects)
+            panic!("{:?}", model.common.effects)
         };
         assert!((time_constant_s - 4.0).abs() < 0.3 && (values[0] - 0.02).abs() < 1e-3);
     }

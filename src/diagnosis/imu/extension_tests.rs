@@ -4,7 +4,7 @@
 //! of an arm do (`selection::evidence`).
 
 use super::effects::{Profile, Shape};
-use super::solve::{Linearization, Moment};
+use super::model::{Linearization, Moment};
 use crate::priors::price;
 use crate::solver::linear::{Linear, ridged};
 use crate::solver::noise::Noise;

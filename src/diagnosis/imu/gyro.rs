@@ -5,19 +5,19 @@
 //! with its first-order derivatives). Short windows determine latency and mount better; the joints' noise
 //! limits them.
 
-use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
+use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::extension_tests::ExtensionTests;
-use super::solve::{DesignNoise, Linearization, Model, Moment, Prior, Solved, solve};
+use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
+use super::solve::Solved;
 use super::{
-    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE,
-    check_explained, mount_of, noise_of_axes, rms,
+    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, check_explained, mount_of,
+    noise_of_axes, rms,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::LatencySample;
 use crate::priors::GYRO_SCALE_PRIOR;
 use crate::samples::sampling::check_sample_count;
-use crate::solver::linear::Linear;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::thin::thinned;
@@ -51,7 +51,7 @@ impl GyroFit {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let rotation = rotvec_from_rotation(&imu_from_gyro);
         let mut size_rad =
-            self.solved.observable_length(GyroModel::MOUNT, rotation.as_slice()).ok()?;
+            self.solved.observable_length(CommonParameters::MOUNT, rotation.as_slice()).ok()?;
         size_rad.norm = size_rad.norm.with_error(self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
@@ -65,24 +65,21 @@ impl Link<'_> {
         }
         let period_s = median_period_s(&self.stream.track.t_s);
         let mut window_s = MIN_WINDOW_S.max(MIN_WINDOW_PERIODS * period_s);
+        let (delay, mount) = (self.delay(lag_s), self.initial_mount(lag_s, moves));
         let mut model = GyroModel {
             link: self,
-            windows: self.windows(window_s, &self.delay(lag_s)),
-            delay: self.delay(lag_s),
-            link_from_imu: self.initial_mount(lag_s, moves),
+            common: CommonParameters::new(delay, mount, moves, GyroModel::WIDTH),
+            windows: self.windows(window_s, &delay),
             bias_rad_s: Vec3::zeros(),
             scale_error: Matrix3::zeros(),
             scale_columns: 0..0,
             rate_without_noise: Matrix3::identity(),
-            effects: Effects::new(GyroModel::WIDTH),
-            moves,
-            skew: Err(NotObservable::AtRest),
         };
         check_sample_count(model.windows.len(), MIN_FIT_SAMPLES)?;
         model.fit();
         while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;
-            let windows = self.windows(window_s, &model.delay);
+            let windows = self.windows(window_s, &model.common.delay);
             if windows.len() < MIN_FIT_SAMPLES {
                 break;
             }
@@ -92,7 +89,7 @@ impl Link<'_> {
         let effects =
             [(Block::Bias, Shape::Step), (Block::Bias, Shape::Decay), (Block::Mount, Shape::Step)];
         let effects = if moves { &effects[..] } else { &effects[..2] };
-        let (mut model, mut solved) = add_likeliest_effects(model, effects, GyroModel::fit);
+        let (mut model, mut solved) = add_likeliest_effects(model, effects);
         let mut scale_error = None;
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
@@ -105,7 +102,7 @@ impl Link<'_> {
                 (scale_error, model, solved) = (Some(error), scaled, fit);
             }
         }
-        let rotation_rad = self.rotation_rms_rad(&model.delay);
+        let rotation_rad = self.rotation_rms_rad(&model.common.delay);
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
         let scale_error = scale_error.map(|it: GyroScaleError| {
             let scale = it.scale.map(|one| one.with_error(relative_fk_error));
@@ -115,17 +112,15 @@ impl Link<'_> {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
         }
-        let latency_s = solved.measure(GyroModel::LATENCY, model.delay.latency_s);
-        let clock = self.clock(moves, &model.delay, [latency_s, model.skew.clone()], |late_s| {
-            model.latency_samples(late_s)
-        });
+        let common = &model.common;
         Ok(GyroFit {
-            clock,
-            delay: model.delay,
+            clock: common
+                .clock(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s)),
+            delay: common.delay,
             bias: model.bias(&solved, scale_error),
-            mount_rad: model.mount(&solved),
-            link_from_imu: model.link_from_imu,
-            mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
+            mount_rad: common.mount_rad(self.known_mount(), &solved),
+            link_from_imu: common.link_from_imu,
+            mount_change: common.mount_change(&solved),
             solved,
             relative_fk_error,
         })
@@ -168,9 +163,8 @@ impl Link<'_> {
 #[derive(Clone)]
 struct GyroModel<'a> {
     link: &'a Link<'a>,
+    common: CommonParameters,
     windows: Vec<RangeInclusive<usize>>,
-    delay: Delay,
-    link_from_imu: Rotation,
     bias_rad_s: Vec3,
     /// Symmetric; an antisymmetric part would be a rotation and belongs to the mount.
     scale_error: Matrix3<f64>,
@@ -178,10 +172,6 @@ struct GyroModel<'a> {
     scale_columns: Range<usize>,
     /// Maps a measured rate to its best linear estimate (Wiener filter), for the columns of the scale error.
     rate_without_noise: Matrix3<f64>,
-    effects: Effects,
-    moves: bool,
-    /// Before it is omitted.
-    skew: EstimateResult<Measured>,
 }
 
 #[derive(Default)]
@@ -197,14 +187,11 @@ struct IntegratedRotation {
 }
 
 impl GyroModel<'_> {
-    const LATENCY: usize = 0;
-    const MOUNT: Range<usize> = 1..4;
-    const BIAS: Range<usize> = 4..7;
-    const SCALE_ERROR: Range<usize> = 7..13;
+    const BIAS: Range<usize> = CommonParameters::WIDTH..CommonParameters::WIDTH + 3;
+    const SCALE_ERROR: Range<usize> = Self::BIAS.end..Self::BIAS.end + 6;
     /// The same scale error of all axes.
-    const COMMON_SCALE_ERROR: usize = 13;
-    const SKEW: usize = 14;
-    const WIDTH: usize = 15;
+    const COMMON_SCALE_ERROR: usize = Self::SCALE_ERROR.end;
+    const WIDTH: usize = Self::COMMON_SCALE_ERROR + 1;
     const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
     /// Scale error by each of its columns.
@@ -219,11 +206,7 @@ impl GyroModel<'_> {
     }
 
     fn bias_at(&self, t_s: f64) -> Vec3 {
-        self.bias_rad_s + self.effects.sum(Block::Bias, t_s, &Rotation::identity())
-    }
-
-    fn mount_at(&self, t_s: f64) -> Rotation {
-        self.effects.mount_at(&self.link_from_imu, t_s)
+        self.bias_rad_s + self.common.effects.sum(Block::Bias, t_s, &Rotation::identity())
     }
 
     /// Residual rates in the link frame and angular acceleration by FK, with this latency compensated in addition.
@@ -235,13 +218,14 @@ impl GyroModel<'_> {
         let mut buffers = self.link.buffers();
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
-            let truth_s = self.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
+            let truth_s = self.common.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
             let [before, state, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
                 .map(|around_s| self.link.at(truth_s + around_s, &mut buffers));
             let (before, state, after) = (before?, state?, after?);
             let change = (after.body_rate() - before.body_rate()) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
-            let measured = self.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
+            let measured =
+                self.common.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
                 residual: [Vec3::zeros(), measured - state.body_rate()],
@@ -281,31 +265,14 @@ impl GyroModel<'_> {
         integrated
     }
 
-    /// Fits all free parameters. Includes a skew if it is significant.
-    fn fit(&mut self) -> Solved {
-        let free = Self::BIAS.chain(self.effects.columns()).chain(self.scale_columns.clone());
-        let mut free: Vec<usize> = free.collect();
-        if !self.moves {
-            return solve(self, &free);
-        }
-        free.extend(Self::MOUNT.chain([Self::LATENCY, Self::SKEW]));
-        let mut solved = solve(self, &free);
-        self.skew = solved.measure(Self::SKEW, self.delay.skew);
-        if !solved.is_significant(Self::SKEW, self.delay.skew, SKEW_SIGNIFICANCE) {
-            self.delay.skew = 0.0;
-            free.retain(|&parameter| parameter != Self::SKEW);
-            solved = solve(self, &free);
-        }
-        solved
-    }
-
     /// Windows, with the stamps and the states of the link at both ends.
     fn ends(&self) -> impl Iterator<Item = (&RangeInclusive<usize>, [(f64, LinkState); 2])> {
         let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;
         self.windows.iter().filter_map(move |window| {
-            let mut end =
-                |k: usize| Some((t_s[k], self.link.at(self.delay.truth_s(t_s[k]), &mut buffers)?));
+            let mut end = |k: usize| {
+                Some((t_s[k], self.link.at(self.common.delay.truth_s(t_s[k]), &mut buffers)?))
+            };
             Some((window, [end(*window.start())?, end(*window.end())?]))
         })
     }
@@ -345,9 +312,9 @@ impl GyroModel<'_> {
     /// Columns of scale errors that are likelier than none, the likeliest first: of each axis, or of all alike.
     fn likely_scale_errors(&self) -> Vec<Range<usize>> {
         let linearization = self.linearize();
-        let tested_with = Self::BIAS.chain(Self::MOUNT).chain([Self::LATENCY, Self::SKEW]);
+        let tested_with = 0..Self::BIAS.end;
         let base: Vec<(usize, f64)> =
-            tested_with.chain(self.effects.columns()).map(|column| (column, 0.0)).collect();
+            tested_with.chain(self.common.effects.columns()).map(|column| (column, 0.0)).collect();
         let tests = ExtensionTests::new(&linearization, &base, Self::MODEL_ERROR);
         let common = Self::COMMON_SCALE_ERROR..Self::COMMON_SCALE_ERROR + 1;
         let scored = [common, Self::SCALE_ERROR].into_iter().filter_map(|range| {
@@ -382,7 +349,7 @@ impl GyroModel<'_> {
         let mut vector_rad_s = self.bias_rad_s;
         let mut length_rad_s = solved.length(Self::BIAS, vector_rad_s.as_slice())?;
         let mut change = None;
-        if let Some(effect) = self.effects.of(Block::Bias).next() {
+        if let Some(effect) = self.common.effects.of(Block::Bias).next() {
             let changed_rad_s = self.bias_rad_s + Vec3::from_column_slice(&effect.values);
             let (profile, [before_rad_s, after_rad_s]) = match effect.profile {
                 Profile::Decay { time_constant_s, .. } => {
@@ -408,17 +375,11 @@ impl GyroModel<'_> {
         Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, scale_error, change })
     }
 
-    fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
-        let known_mount = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
-        let error = rotvec_from_rotation(&(known_mount.inverse() * self.link_from_imu));
-        solved.mount_error(Self::MOUNT, error.as_slice())
-    }
-
     /// Mean rate about the base's z that the bias simulates.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
         let starts = self.windows.iter().map(|window| *window.start());
-        let in_link = self.link_from_imu * bias_rad_s;
-        let states = self.link.states(starts, self.delay);
+        let in_link = self.common.link_from_imu * bias_rad_s;
+        let states = self.link.states(starts, self.common.delay);
         mean(states.map(|(_, state)| (state.rotation * in_link).z))
     }
 }
@@ -426,98 +387,86 @@ impl GyroModel<'_> {
 impl Model for GyroModel<'_> {
     const MODEL_ERROR: f64 = FLOOR_RAD_S;
 
-    /// Mean rates over the windows, in the sensor's frame at their ends.
-    fn linearize(&self) -> Linearization {
-        let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD_S]);
-        linear.reserve(self.windows.len());
-        let mut moments = Vec::new();
-        let slip_s = self.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
-        for (window, [(from_s, first), (to_s, last)]) in self.ends() {
-            if slip_s.is_some_and(|(at_s, _)| from_s <= at_s && at_s < to_s) {
-                continue;
-            }
-            let integrated = self.integrate(window);
-            let t_s = 0.5 * (from_s + to_s);
-            moments.push(Moment { t_s, world_from_imu: Rotation::identity() });
-            let mount = self.mount_at(to_s);
-            let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
-            let last_from_first = by_fk.inverse();
-            let per_s = 1.0 / integrated.duration_s;
-            let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
-            let mut rows = linear.push(&[residual * per_s]);
-            if first.moving || last.moving {
-                // FK rates share the joints' noise with the residual.
-                let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
-                let later = -rate_difference * per_s;
-                rows.set(0, Self::LATENCY, later);
-                rows.set(0, Self::SKEW, later * (to_s - self.delay.middle_s));
-            }
-            let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
-            // The mount is applied before the slip.
-            let before_slip = mount.inverse() * self.link_from_imu;
-            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
-            rows.set_from(Self::MOUNT.start, units.map(|unit| turned(before_slip * unit)));
-            let by_bias = units.map(|unit| integrated.by_rate * unit * per_s);
-            rows.set_from(Self::BIAS.start, by_bias);
-            rows.set_from(Self::SCALE_ERROR.start, integrated.by_scale_error.map(|by| by * per_s));
-            let world_from_imu = Rotation::identity();
-            self.effects.set_rows(&mut rows, t_s, &world_from_imu, &units.map(turned), &by_bias);
-        }
-        Linearization { linear, moments }
+    fn common(&mut self) -> &mut CommonParameters {
+        &mut self.common
     }
 
-    /// FK noise in the columns of the mount, gyro noise in all others.
-    fn design_noise(&self) -> DesignNoise {
+    /// Mean rates over the windows, in the sensor's frame at their ends. FK noise is in the columns of the mount, gyro
+    /// noise in all others.
+    fn linearize(&self) -> Linearization {
+        let common = &self.common;
+        let mut linearization = Linearization::new(common, self.windows.len(), FLOOR_RAD_S);
         let gyro_noise = noise_of_axes(&self.link.stream.track.gyro).norm_squared() / 3.0;
-        let mut noise = DesignNoise::zeros(self.effects.width());
+        let slip_s =
+            common.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
-            let per_s = 1.0 / (to_s - from_s);
-            let base_from_imu = last.rotation * self.mount_at(to_s);
+            let integrated = self.integrate(window);
+            let (mount, per_s) = (common.mount_at(to_s), 1.0 / integrated.duration_s);
+            let (moving, since_middle_s) =
+                (first.moving || last.moving, to_s - common.delay.middle_s);
+            let base_from_imu = last.rotation * mount;
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
-            noise.add_to_mount(&Self::MOUNT, &self.effects, from_s, &base_from_imu, &in_base);
-            let squares = &mut noise.squares;
-            if first.moving || last.moving {
+            linearization.add_mount_noise(common, from_s, &base_from_imu, &in_base);
+            if moving {
                 let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
-                squares[(Self::LATENCY, Self::LATENCY)] += by_ends;
-                squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
+                linearization.add_delay_noise(since_middle_s, by_ends);
             }
             let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
             for (column, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
-                squares[(column, column)] += of_mean * unit.norm_squared();
+                linearization.design_noise[(column, column)] += of_mean * unit.norm_squared();
             }
+            if slip_s.is_some_and(|(at_s, _)| from_s <= at_s && at_s < to_s) {
+                continue;
+            }
+            let last_from_first = base_from_imu.inverse() * (first.rotation * mount);
+            let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
+            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
+            let by_bias = units.map(|unit| integrated.by_rate * unit * per_s);
+            let by_scale_error = integrated.by_scale_error.map(|by_entry| by_entry * per_s);
+            // FK rates share the joints' noise with the residual.
+            let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
+            let sample = Sample {
+                moment: Moment { t_s: 0.5 * (from_s + to_s), world_from_imu: Rotation::identity() },
+                residual: residual * per_s,
+                by_latency: moving.then(|| -rate_difference * per_s),
+                since_middle_s,
+                mount,
+                by_mount: units.map(|unit| (unit - last_from_first * unit) * per_s),
+                by_own: (Self::BIAS.start, &[&by_bias[..], &by_scale_error].concat()),
+                by_other_block: &by_bias,
+            };
+            linearization.push(common, sample);
         }
-        let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
-        let slip = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
-        noise.groups.push(self.scale_columns.clone());
-        noise.groups.extend(delay.into_iter().chain(slip).chain([Self::MOUNT]));
-        noise
+        linearization
     }
 
     fn apply(&mut self, delta: &[f64]) {
-        self.delay.latency_s += delta[Self::LATENCY];
-        self.delay.skew += delta[Self::SKEW];
-        self.link_from_imu *= rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::MOUNT]));
         self.bias_rad_s += Vec3::from_column_slice(&delta[Self::BIAS]);
-        self.effects.apply(delta);
         for (parameter, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
             self.scale_error += unit * delta[parameter];
         }
     }
 
-    fn effects(&mut self) -> &mut Effects {
-        &mut self.effects
+    fn free(&self) -> Vec<usize> {
+        let mount = CommonParameters::MOUNT.filter(|_| self.common.moves);
+        mount.chain(Self::BIAS).chain(self.scale_columns.clone()).collect()
+    }
+
+    fn own_group(&self) -> Range<usize> {
+        self.scale_columns.clone()
     }
 
     fn columns_of(block: Block) -> Range<usize> {
         match block {
-            Block::Mount => Self::MOUNT,
+            Block::Mount => CommonParameters::MOUNT,
             _ => Self::BIAS,
         }
     }
 
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
-        let constant = if self.moves { 0..Self::COMMON_SCALE_ERROR } else { Self::BIAS };
+        let constant = if self.common.moves { 0..Self::SCALE_ERROR.end } else { Self::BIAS };
+        let constant = constant.filter(|column| *column != CommonParameters::SKEW);
         let precision = |column: usize| match Self::SCALE_ERROR.contains(&column) {
             true => GYRO_SCALE_PRIOR.powi(-2),
             false => 0.0,
@@ -533,6 +482,6 @@ impl Model for GyroModel<'_> {
                 .get(column - Self::SCALE_ERROR.start)
                 .map_or(self.scale_error[(0, 0)], |at| self.scale_error[*at]),
         };
-        self.scale_columns.clone().map(prior).chain(self.effects.priors()).collect()
+        self.scale_columns.clone().map(prior).chain(self.common.effects.priors()).collect()
     }
 }

@@ -11,6 +11,7 @@ mod effects;
 mod estimates;
 mod extension_tests;
 mod gyro;
+mod model;
 mod orientation;
 mod residual_check;
 mod solve;
@@ -24,7 +25,6 @@ use crate::latency::correlation::{
     ArmSpeeds, LagPeak, SpeedSeries, angular_speed, correlation_by_lag, equal_peaks, lag_peaks,
     norm_series,
 };
-use crate::latency::profile::{LatencySample, fit_profile};
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
 use crate::{
     AxesError, EstimateResult, IntendedEncoding, LatencyProfile, Measured, NotObservable,
@@ -428,23 +428,6 @@ impl<'a> Link<'a> {
         } else {
             Ok(())
         }
-    }
-
-    /// Clock by these estimates and the samples with an additional latency compensated. Not observable at rest.
-    fn clock(
-        &self,
-        moves: bool,
-        delay: &Delay,
-        [latency_s, skew]: [EstimateResult<Measured>; 2],
-        samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
-    ) -> Clock {
-        if !moves {
-            return Clock::not_observable(&NotObservable::AtRest);
-        }
-        let (logged, removed_ramp) = (samples(&|_| 0.0), self.stream.removed_ramp);
-        let latency_profile =
-            fit_profile(&logged, 1, delay.skew, removed_ramp, |late_s| Some(samples(late_s)));
-        Clock { latency_s, skew, latency_profile }
     }
 
     /// Evenly thinned rows of the stream.

@@ -3,13 +3,12 @@
 //! The links deviate from the model by random rotations with the prior of a calibrated arm; otherwise their
 //! error, which depends on the posture, looks like a jump, a walk or a drift of the yaw.
 
-use super::effects::{Block, Effects, Profile, Shape, add_likeliest_effects};
+use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
-use super::solve::{DesignNoise, Linearization, Model, Moment, Prior, Solved, solve};
-use super::{
-    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE, mount_of,
-};
+use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
+use super::solve::Solved;
+use super::{Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_imu_encoding,
@@ -20,10 +19,7 @@ use crate::latency::profile::LatencySample;
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
 use crate::samples::sampling::check_sample_count;
-use crate::solver::linear::Linear;
-use crate::{
-    EncodingEstimate, EstimateResult, HeadingPair, Measured, NotObservable, YawJump, YawProfile,
-};
+use crate::{EncodingEstimate, EstimateResult, HeadingPair, NotObservable, YawJump, YawProfile};
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stats::thin::thinned;
@@ -52,16 +48,16 @@ impl Link<'_> {
         moves: bool,
         gyro: Option<&GyroFit>,
     ) -> EstimateResult<(Clock, ImuDiagnosis)> {
-        let (mut encoding, model) = self.orientation_model(start, gyro)?;
-        let (model, solved) = add_likeliest_effects(model, &EFFECTS, |model| model.fit(moves));
+        let (mut encoding, model) = self.orientation_model(start, moves, gyro)?;
+        let (model, solved) = add_likeliest_effects(model, &EFFECTS);
         if let Some(side_s) = model.longer_side_s() {
             // A slip makes every encoding fit badly: determine it again on one side.
-            let estimated = self.estimate_encoding_near(&model.delay, gyro, side_s);
+            let estimated = self.estimate_encoding_near(&model.common.delay, gyro, side_s);
             encoding = estimated.map_or(encoding, |estimated| estimated.0);
         }
-        self.check_rotation_explained(&model.delay, &solved.residuals)?;
-        let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);
-        let clock = self.clock(moves, &model.delay, [latency_s, model.skew.clone()], |late_s| {
+        let common = &model.common;
+        self.check_rotation_explained(&common.delay, &solved.residuals)?;
+        let clock = common.clock(&solved, self.stream.removed_ramp, |late_s| {
             model.latency_samples(&solved, late_s)
         });
         let (yaw_error, headings) = model.yaw_error();
@@ -69,8 +65,8 @@ impl Link<'_> {
             encoding: Ok(encoding),
             yaw_drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
             yaw_profile: model.yaw_profile(&solved),
-            link_from_imu: Some(model.link_from_imu),
-            mount_change: model.effects.mount_change(&model.link_from_imu, &solved),
+            link_from_imu: Some(common.link_from_imu),
+            mount_change: common.mount_change(&solved),
             yaw_error,
             headings,
             mount_rad: model.mount_rad,
@@ -83,6 +79,7 @@ impl Link<'_> {
     fn orientation_model(
         &self,
         start: Delay,
+        moves: bool,
         gyro: Option<&GyroFit>,
     ) -> EstimateResult<(EncodingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
@@ -98,20 +95,19 @@ impl Link<'_> {
         };
         let mut buffer = Vec::new();
         let logged = LoggedRotations::Rotations(&track.orientation);
+        let mount = known_mount.unwrap_or_default() * fit.tool;
+        let width = OrientationModel::LINKS_START + 3 * self.inner_links();
         let mut model = OrientationModel {
             link: self,
+            common: CommonParameters::new(start, mount, moves, width),
             samples: Vec::new(),
-            effects: Effects::new(OrientationModel::LINKS_START + 3 * self.inner_links()),
-            delay: start,
             drift_rad_s: 0.0,
             mount_rad: Err(NotObservable::NoFrame),
-            skew: Err(NotObservable::AtRest),
             world_from_base: fit.reference,
-            link_from_imu: known_mount.unwrap_or_default() * fit.tool,
         };
         let unchanged = RotationCorrections::default();
         for (k, state) in self.states(self.rows(), start) {
-            let expected = model.world_from_base * state.rotation * model.link_from_imu;
+            let expected = model.world_from_base * state.rotation * mount;
             let decoded =
                 decode_nearest(&fit.encoding, &unchanged, &logged, k, &expected, &mut buffer);
             model.samples.extend(decoded.map(|truth| (track.t_s[k], truth)));
@@ -165,62 +161,25 @@ fn axis_by_sine(rotation: &Rotation) -> Vec3 {
 #[derive(Clone)]
 struct OrientationModel<'a> {
     link: &'a Link<'a>,
+    common: CommonParameters,
     /// Stamps and decoded orientations.
     samples: Vec<(f64, Rotation)>,
-    effects: Effects,
-    delay: Delay,
     drift_rad_s: f64,
     world_from_base: Rotation,
-    link_from_imu: Rotation,
-    /// Error of the logged mount before it is fixed, and skew before it is omitted.
+    /// Error of the logged mount before it is fixed.
     mount_rad: EstimateResult<MeasuredLength>,
-    skew: EstimateResult<Measured>,
 }
 
 impl OrientationModel<'_> {
-    const LATENCY: usize = 0;
-    const DRIFT: usize = 1;
-    const WORLD: Range<usize> = 2..5;
-    const MOUNT: Range<usize> = 5..8;
-    const SKEW: usize = 8;
-    const LINKS_START: usize = 9;
-
-    /// Refits with the logged mount and without skew if the free values do not differ significantly.
-    fn fit(&mut self, moves: bool) -> Solved {
-        let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
-        if moves {
-            free.extend([Self::LATENCY, Self::SKEW]);
-        }
-        free.extend(self.effects.columns());
-        let all = free.len();
-        let mut solved = solve(self, &free);
-        self.mount_rad = self.mount(&solved);
-        self.skew = solved.measure(Self::SKEW, self.delay.skew);
-        if !solved.is_significant(Self::SKEW, self.delay.skew, SKEW_SIGNIFICANCE) {
-            self.delay.skew = 0.0;
-            free.retain(|&parameter| parameter != Self::SKEW);
-        }
-        let is_mount_wrong =
-            self.mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
-        if let Some(known) = self.link.known_mount()
-            && !is_mount_wrong
-        {
-            self.link_from_imu = known;
-            self.init_world();
-            free.retain(|parameter| !Self::MOUNT.contains(parameter));
-        }
-        if free.len() < all {
-            solved = solve(self, &free);
-        }
-        solved
-    }
+    const WORLD: Range<usize> = CommonParameters::WIDTH..CommonParameters::WIDTH + 3;
+    const DRIFT: usize = Self::WORLD.end;
+    const LINKS_START: usize = Self::DRIFT + 1;
 
     /// A wrong mount must turn the orientations by more than usual errors of filters and arms.
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
-        let error = rotvec_from_rotation(&(known.inverse() * self.link_from_imu));
-        let error_in_link = known * error;
-        let length = solved.mount_error(Self::MOUNT, error.as_slice())?;
+        let length = self.common.mount_rad(Some(known), solved)?;
+        let error_in_link = known * self.common.mount_error_rad(&known);
         let turned: Vec<Vec3> =
             self.states().map(|(.., state)| state.rotation * error_in_link).collect();
         let is_hidden =
@@ -235,21 +194,21 @@ impl OrientationModel<'_> {
     fn states(&self) -> impl Iterator<Item = (f64, &Rotation, LinkState)> {
         let mut buffers = self.link.buffers();
         self.samples.iter().filter_map(move |(stamp_s, truth)| {
-            let state = self.link.at(self.delay.truth_s(*stamp_s), &mut buffers)?;
+            let state = self.link.at(self.common.delay.truth_s(*stamp_s), &mut buffers)?;
             Some((*stamp_s, truth, state))
         })
     }
 
     /// Side of a slip with more samples.
     fn longer_side_s(&self) -> Option<Range<f64>> {
-        let (at_s, _) = self.effects.of(Block::Mount).next()?.profile.change_s()?;
+        let (at_s, _) = self.common.effects.of(Block::Mount).next()?.profile.change_s()?;
         let Range { start, end } = WHOLE_RUN_S;
         Some(if at_s > self.link.middle_s { start..at_s } else { at_s..end })
     }
 
     fn yaw_profile(&self, solved: &Solved) -> YawProfile {
         let mut profile = YawProfile::default();
-        for effect in self.effects.of(Block::Yaw) {
+        for effect in self.common.effects.of(Block::Yaw) {
             let size = || solved.measure(effect.columns.start, effect.values[0]).ok();
             match effect.profile {
                 Profile::Step { at_s, .. } => {
@@ -289,14 +248,10 @@ impl OrientationModel<'_> {
         profile
     }
 
-    fn mount_at(&self, t_s: f64) -> Rotation {
-        self.effects.mount_at(&self.link_from_imu, t_s)
-    }
-
     /// Yaw error relative to the middle of the run.
     fn yaw_at(&self, t_s: f64, world_from_imu: &Rotation) -> f64 {
         self.drift_rad_s * (t_s - self.link.middle_s)
-            + self.effects.sum(Block::Yaw, t_s, world_from_imu).x
+            + self.common.effects.sum(Block::Yaw, t_s, world_from_imu).x
     }
 
     /// Maps rotation axes of the link to the IMU's, as close to `expected` as the data allow.
@@ -309,14 +264,14 @@ impl OrientationModel<'_> {
             let by_imu = axis_by_sine(&(imu.inverse() * truth));
             correlation += by_link * by_imu.transpose();
         }
-        self.link_from_imu = mount_of(&correlation, &expected);
+        self.common.link_from_imu = mount_of(&correlation, &expected);
         self.init_world();
     }
 
     /// Average world rotation for the current mount.
     fn init_world(&mut self) {
         let world = |(stamp_s, truth, state): (f64, &Rotation, LinkState)| {
-            let base_from_imu = state.rotation * self.mount_at(stamp_s);
+            let base_from_imu = state.rotation * self.common.mount_at(stamp_s);
             let yaw_rad = self.yaw_at(stamp_s, &(self.world_from_base * base_from_imu));
             let truth = rotation_from_rotvec(Vec3::z() * -yaw_rad) * truth;
             truth * base_from_imu.inverse()
@@ -330,7 +285,8 @@ impl OrientationModel<'_> {
         let mut buffers = self.link.buffers();
         let samples =
             self.states().zip(&solved.residuals).filter_map(|((t_s, _, state), residual)| {
-                let then = self.link.at(self.delay.truth_s(t_s - late_s(t_s)), &mut buffers)?;
+                let then =
+                    self.link.at(self.common.delay.truth_s(t_s - late_s(t_s)), &mut buffers)?;
                 let turned = then.rotation * state.rotation.inverse();
                 let in_world = |by_link: Vec3| self.world_from_base * by_link;
                 Some(LatencySample {
@@ -348,7 +304,7 @@ impl OrientationModel<'_> {
     /// from the vertical, or none if every axis comes too close.
     fn yaw_error(&self) -> (Vec<(f64, f64)>, Vec<HeadingPair>) {
         const MAX_VERTICAL_COSINE: f64 = 0.97;
-        let Linearization { linear, moments } = self.linearize();
+        let Linearization { linear, moments, .. } = self.linearize();
         let error = |(Moment { t_s, world_from_imu }, residual): (&Moment, &Vec3)| {
             (*t_s, self.yaw_at(*t_s, world_from_imu) + residual[2])
         };
@@ -388,80 +344,73 @@ fn unwrapped(series: &[f64]) -> Vec<f64> {
 impl Model for OrientationModel<'_> {
     const MODEL_ERROR: f64 = MODEL_ERROR_RAD;
 
-    fn linearize(&self) -> Linearization {
-        let mut linear = Linear::new(self.effects.width(), &[FLOOR_RAD]);
-        linear.reserve(self.samples.len());
-        let mut moments = Vec::new();
-        let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
-        for &(stamp, truth) in &self.samples {
-            let truth_s = self.delay.truth_s(stamp);
-            let Some(link_state) = self.link.at(truth_s, &mut buffers) else { continue };
-            let mount = self.mount_at(stamp);
-            let by_fk = self.world_from_base * link_state.rotation * mount;
-            let since = stamp - self.link.middle_s;
-            let yaw_rotation = rotation_from_rotvec(Vec3::z() * self.yaw_at(stamp, &by_fk));
-            let world = yaw_rotation * self.world_from_base;
-            let predicted = yaw_rotation * by_fk;
-            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
-            let mut rows = linear.push(&[residual]);
-            if link_state.moving {
-                let later = -(world * link_state.rate);
-                rows.set(0, Self::LATENCY, later);
-                rows.set(0, Self::SKEW, later * since);
-            }
-            rows.set(0, Self::DRIFT, Vec3::z() * since);
-            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
-            let before_slip = mount.inverse() * self.link_from_imu;
-            rows.set_from(Self::WORLD.start, units.map(|unit| yaw_rotation * unit));
-            rows.set_from(Self::MOUNT.start, units.map(|unit| predicted * (before_slip * unit)));
-            self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
-            let inner = frames.iter().take(self.link.inner_links());
-            let by_links =
-                inner.flat_map(|frame| units.map(|unit| world * (frame.rotation * unit)));
-            rows.set_from(Self::LINKS_START, by_links);
-            let by_mount = units.map(|unit| predicted * unit);
-            self.effects.set_rows(&mut rows, stamp, &by_fk, &by_mount, &[Vec3::z()]);
-            moments.push(Moment { t_s: stamp, world_from_imu: by_fk });
-        }
-        Linearization { linear, moments }
+    fn common(&mut self) -> &mut CommonParameters {
+        &mut self.common
     }
 
-    /// FK noise in the columns of mount and delay.
-    fn design_noise(&self) -> DesignNoise {
-        let mut noise = DesignNoise::zeros(self.effects.width());
-        for (stamp_s, _, state) in self.states() {
-            let base_from_imu = state.rotation * self.mount_at(stamp_s);
-            let in_base = &state.rotation_noise;
-            noise.add_to_mount(&Self::MOUNT, &self.effects, stamp_s, &base_from_imu, in_base);
+    /// FK noise is in the columns of mount and delay.
+    fn linearize(&self) -> Linearization {
+        let common = &self.common;
+        let mut linearization = Linearization::new(common, self.samples.len(), FLOOR_RAD);
+        let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
+        for &(t_s, truth) in &self.samples {
+            let truth_s = common.delay.truth_s(t_s);
+            let Some(state) = self.link.at(truth_s, &mut buffers) else { continue };
+            let (mount, since_middle_s) = (common.mount_at(t_s), t_s - common.delay.middle_s);
+            let base_from_imu = state.rotation * mount;
+            linearization.add_mount_noise(common, t_s, &base_from_imu, &state.rotation_noise);
             if state.moving {
-                let since_s = stamp_s - self.link.middle_s;
-                noise.squares[(Self::LATENCY, Self::LATENCY)] += state.rate_noise;
-                noise.squares[(Self::SKEW, Self::SKEW)] += state.rate_noise * since_s.powi(2);
+                linearization.add_delay_noise(since_middle_s, state.rate_noise);
             }
+            let world_from_imu = self.world_from_base * base_from_imu;
+            let yaw = rotation_from_rotvec(Vec3::z() * self.yaw_at(t_s, &world_from_imu));
+            let world = yaw * self.world_from_base;
+            let predicted = yaw * world_from_imu;
+            let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
+            let mut by_own = units.map(|unit| yaw * unit).to_vec();
+            by_own.push(Vec3::z() * since_middle_s);
+            self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
+            for frame in frames.iter().take(self.link.inner_links()) {
+                by_own.extend(units.map(|unit| world * (frame.rotation * unit)));
+            }
+            let sample = Sample {
+                moment: Moment { t_s, world_from_imu },
+                residual: rotvec_from_rotation(&(truth * predicted.inverse())),
+                by_latency: state.moving.then(|| -(world * state.rate)),
+                since_middle_s,
+                mount,
+                by_mount: units.map(|unit| predicted * unit),
+                by_own: (Self::WORLD.start, &by_own),
+                by_other_block: &[Vec3::z()],
+            };
+            linearization.push(common, sample);
         }
-        let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
-        let slip = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
-        noise.groups = delay.into_iter().chain(slip).chain([Self::MOUNT]).collect();
-        noise
+        linearization
     }
 
     fn apply(&mut self, delta: &[f64]) {
-        let turn = |own: Range<usize>| rotation_from_rotvec(Vec3::from_column_slice(&delta[own]));
-        self.delay.latency_s += delta[Self::LATENCY];
-        self.delay.skew += delta[Self::SKEW];
+        let turn = rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::WORLD]));
+        self.world_from_base = turn * self.world_from_base;
         self.drift_rad_s += delta[Self::DRIFT];
-        self.effects.apply(delta);
-        self.world_from_base = turn(Self::WORLD) * self.world_from_base;
-        self.link_from_imu *= turn(Self::MOUNT);
     }
 
-    fn effects(&mut self) -> &mut Effects {
-        &mut self.effects
+    fn free(&self) -> Vec<usize> {
+        CommonParameters::MOUNT.chain(Self::WORLD).chain([Self::DRIFT]).collect()
+    }
+
+    fn keeps_mount(&mut self, solved: &Solved) -> bool {
+        self.mount_rad = self.mount(solved);
+        let is_wrong =
+            self.mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
+        let Some(known) = self.link.known_mount().filter(|_| !is_wrong) else { return false };
+        self.common.link_from_imu = known;
+        self.init_world();
+        true
     }
 
     fn columns_of(block: Block) -> Range<usize> {
         match block {
-            Block::Mount => Self::MOUNT,
+            Block::Mount => CommonParameters::MOUNT,
             Block::World => Self::WORLD,
             // About the vertical.
             _ => Self::WORLD.end - 1..Self::WORLD.end,
@@ -479,6 +428,6 @@ impl Model for OrientationModel<'_> {
         let by_fk_error = self.link.stream.fk_error_rad.powi(2) / (0.5 * links.len() as f64);
         let variance = LINK_PRIOR_RAD.powi(2).max(by_fk_error);
         let links = links.map(|column| Prior { column, variance, value: 0.0 });
-        links.chain(self.effects.priors()).collect()
+        links.chain(self.common.effects.priors()).collect()
     }
 }

@@ -1,94 +1,13 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
-use super::MOUNT_SIGNIFICANCE;
-use super::effects::{Block, Effects};
+use super::model::{Linearization, Model, Prior};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
-use ground::geometry::{Rotation, Vec3};
+use ground::geometry::Vec3;
 use ground::stats::{MeasuredLength, joint_p_value};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
-
-/// Parametric model of one signal of an IMU.
-pub(super) trait Model: Clone {
-    /// Residuals below it distinguish no effects.
-    const MODEL_ERROR: f64;
-
-    /// Linearises at the current parameters, with all random effects at zero.
-    fn linearize(&self) -> Linearization;
-
-    fn design_noise(&self) -> DesignNoise;
-
-    /// One entry per column of the design.
-    fn apply(&mut self, delta: &[f64]);
-
-    fn effects(&mut self) -> &mut Effects;
-
-    fn columns_of(block: Block) -> Range<usize>;
-
-    /// Own parameters that are fitted while effects are tested, with the precision of their prior about zero.
-    fn tested_with(&self) -> Vec<(usize, f64)>;
-
-    /// Columns with a normal prior about zero. They are always fitted.
-    fn priors(&self) -> Vec<Prior>;
-}
-
-pub(super) struct Prior {
-    pub column: usize,
-    pub variance: f64,
-    /// Current value; 0 for random effects, which are not part of the state.
-    pub value: f64,
-}
-
-pub(super) struct Linearization {
-    pub linear: Linear,
-    /// Per sample.
-    pub moments: Vec<Moment>,
-}
-
-pub(super) struct Moment {
-    pub t_s: f64,
-    /// Without yaw error; the identity if there is no world.
-    pub world_from_imu: Rotation,
-}
-
-/// Noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*, 1987, §2.2).
-/// It inflates `AᵀA` and simulates information about parameters that a weak motion does not excite.
-pub(super) struct DesignNoise {
-    /// Expected contribution to `AᵀA`.
-    pub squares: DMatrix<f64>,
-    /// Columns of equal unit whose combinations are tested together, in the order of fixing.
-    pub groups: Vec<Range<usize>>,
-}
-
-impl DesignNoise {
-    pub fn zeros(width: usize) -> Self {
-        Self { squares: DMatrix::zeros(width, width), groups: Vec::new() }
-    }
-
-    /// Adds noise of the link's rotation (its covariance in base) to the columns of the mount and of its slip. Noise δ
-    /// contributes `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
-    pub fn add_to_mount(
-        &mut self,
-        mount: &Range<usize>,
-        effects: &Effects,
-        t_s: f64,
-        base_from_imu: &Rotation,
-        covariance: &Matrix3<f64>,
-    ) {
-        let base_from_imu = base_from_imu.to_rotation_matrix();
-        let in_imu = base_from_imu.matrix().tr_mul(&(covariance * base_from_imu.matrix()));
-        let noise = Matrix3::from_diagonal_element(in_imu.trace()) - in_imu;
-        let slips = effects
-            .of(Block::Mount)
-            .map(|slip| (slip.columns.start, slip.profile.weights(t_s, &Rotation::identity())[0]));
-        for (start, weight) in std::iter::once((mount.start, 1.0)).chain(slips) {
-            let mut block = self.squares.fixed_view_mut::<3, 3>(start, start);
-            block += noise * weight;
-        }
-    }
-}
 
 pub(super) struct Solved {
     free: Vec<usize>,
@@ -106,23 +25,26 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     const MAX_STEPS: usize = 8;
     /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
-    let noise = model.design_noise();
+    let groups: Vec<Range<usize>> =
+        [model.own_group()].into_iter().chain(model.common().groups()).collect();
+    let mut linearization = model.linearize();
+    let excited = Excited::new(&linearization, &groups, free, &model.priors());
     let mut remaining_steps = MAX_STEPS;
-    let mut linear = model.linearize().linear;
-    let excited = Excited::new(&linear, &noise, free, &model.priors());
     loop {
+        let linear = &linearization.linear;
         let mut pull = DVector::zeros(linear.width);
         for prior in model.priors() {
             pull[prior.column] = -prior.value / prior.variance;
         }
-        let step = Step::new(&linear, &excited, &pull);
+        let step = Step::new(linear, &excited, &pull);
         remaining_steps -= 1;
         let largest = free.iter().map(|&at| step.delta[at].abs()).fold(0.0, f64::max);
+        model.common().apply(step.delta.as_slice());
         model.apply(step.delta.as_slice());
         if remaining_steps == 0 || largest < CONVERGED_STEP {
-            return step.solved(&linear, excited);
+            return step.solved(linear, excited);
         }
-        linear = model.linearize().linear;
+        linearization = model.linearize();
     }
 }
 
@@ -143,7 +65,13 @@ impl Excited {
     /// two in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
 
-    fn new(linear: &Linear, noise: &DesignNoise, free: &[usize], priors: &[Prior]) -> Self {
+    /// Tests the combinations of each of `groups` together, in the order of fixing.
+    fn new(
+        Linearization { linear, design_noise, .. }: &Linearization,
+        groups: &[Range<usize>],
+        free: &[usize],
+        priors: &[Prior],
+    ) -> Self {
         let width = linear.width;
         let squares = linear.information(&linear.even_weights());
         let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(i == column));
@@ -151,7 +79,7 @@ impl Excited {
         free.sort_unstable();
         let mut basis: Vec<DVector<f64>> = free.iter().map(|&column| unit(column)).collect();
         let mut fixed = Vec::new();
-        for group in &noise.groups {
+        for group in groups {
             let own_columns: Vec<usize> =
                 group.clone().filter(|column| free.contains(column)).collect();
             if own_columns.is_empty() {
@@ -166,7 +94,7 @@ impl Excited {
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
             let alone =
                 own_columns.tr_mul(&squares) * &own_columns - across.tr_mul(&(between * &across));
-            let by_noise = own_columns.tr_mul(&noise.squares) * &own_columns;
+            let by_noise = own_columns.tr_mul(&design_noise) * &own_columns;
             let eigen = (alone - by_noise / Self::MAX_NOISE_SHARE).symmetric_eigen();
             for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
                 let direction = &own_columns * direction;
@@ -179,7 +107,7 @@ impl Excited {
         free.extend(random);
         free.sort_unstable();
         let basis = columns(width, &basis);
-        let noise = basis.tr_mul(&noise.squares) * &basis;
+        let noise = basis.tr_mul(&design_noise) * &basis;
         let mut precision = DMatrix::zeros(width, width);
         for prior in priors {
             precision[(prior.column, prior.column)] = prior.variance.recip();
@@ -330,19 +258,6 @@ impl Solved {
         let covariance = basis.tr_mul(&self.covariance_of(parameters)?) * &basis;
         let part = basis.tr_mul(&DVector::from_column_slice(vector));
         Ok(MeasuredLength::estimate(part.as_slice(), &covariance, self.dof))
-    }
-
-    /// Length of a mount's error, or of its observable part if that is significant; a pass requires the
-    /// whole error.
-    pub fn mount_error(
-        &self,
-        parameters: Range<usize>,
-        error: &[f64],
-    ) -> EstimateResult<MeasuredLength> {
-        let observable = || self.observable_length(parameters.clone(), error).ok();
-        self.length(parameters.clone(), error).or_else(|why| {
-            observable().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why)
-        })
     }
 
     fn block(

@@ -1,0 +1,262 @@
+//! The models of an IMU's orientation and gyro: what they share, and their fit.
+
+use super::effects::{Block, Effects};
+use super::estimates::ImuMountChange;
+use super::solve::{Solved, solve};
+use super::{Clock, Delay, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE};
+use crate::latency::profile::{LatencySample, fit_profile};
+use crate::solver::linear::Linear;
+use crate::{EstimateResult, Measured, NotObservable, PiecewiseLatency};
+use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::MeasuredLength;
+use nalgebra::{DMatrix, Matrix3};
+use std::ops::Range;
+
+/// Parametric model of one signal of an IMU.
+pub(super) trait Model: Clone {
+    /// Residuals below it distinguish no effects.
+    const MODEL_ERROR: f64;
+
+    fn common(&mut self) -> &mut CommonParameters;
+
+    /// Linearises at the current parameters, with all random effects at zero.
+    fn linearize(&self) -> Linearization;
+
+    /// Adds one entry per column of the design to the model's own parameters.
+    fn apply(&mut self, delta: &[f64]);
+
+    /// Columns to fit besides the delay and the effects.
+    fn free(&self) -> Vec<usize>;
+
+    /// Columns of equal unit that are tested together for excitation before the common ones.
+    fn own_group(&self) -> Range<usize> {
+        0..0
+    }
+
+    fn columns_of(block: Block) -> Range<usize>;
+
+    /// Columns that are fitted while effects are tested, with the precision of their prior about zero.
+    fn tested_with(&self) -> Vec<(usize, f64)>;
+
+    /// Columns with a normal prior about zero. They are always fitted.
+    fn priors(&self) -> Vec<Prior>;
+
+    /// Whether the fit kept the mount as logged, so that it is not free.
+    fn keeps_mount(&mut self, _: &Solved) -> bool {
+        false
+    }
+
+    /// Fits all free parameters. Refits without skew and with the logged mount if the free values do not differ
+    /// significantly.
+    fn fit(&mut self) -> Solved {
+        let mut free = self.free();
+        let CommonParameters { effects, moves, .. } = self.common();
+        free.extend(effects.columns());
+        if *moves {
+            free.extend([CommonParameters::LATENCY, CommonParameters::SKEW]);
+        }
+        let all = free.len();
+        let mut solved = solve(self, &free);
+        let CommonParameters { delay, skew, .. } = self.common();
+        *skew = solved.measure(CommonParameters::SKEW, delay.skew);
+        if !solved.is_significant(CommonParameters::SKEW, delay.skew, SKEW_SIGNIFICANCE) {
+            delay.skew = 0.0;
+            free.retain(|&column| column != CommonParameters::SKEW);
+        }
+        if self.keeps_mount(&solved) {
+            free.retain(|column| !CommonParameters::MOUNT.contains(column));
+        }
+        if free.len() < all {
+            solved = solve(self, &free);
+        }
+        solved
+    }
+}
+
+pub(super) struct Prior {
+    pub column: usize,
+    pub variance: f64,
+    /// Current value; 0 for random effects, which are not part of the state.
+    pub value: f64,
+}
+
+/// Parameters of both signals, in the first columns of the design, and effects, in the last.
+#[derive(Clone)]
+pub(super) struct CommonParameters {
+    pub delay: Delay,
+    /// Mount before a slip.
+    pub link_from_imu: Rotation,
+    pub effects: Effects,
+    pub moves: bool,
+    /// Before it is omitted.
+    pub skew: EstimateResult<Measured>,
+}
+
+impl CommonParameters {
+    pub const LATENCY: usize = 0;
+    pub const SKEW: usize = 1;
+    pub const MOUNT: Range<usize> = 2..5;
+    pub const WIDTH: usize = 5;
+
+    /// For a model whose parameters have `width` columns without effects.
+    pub fn new(delay: Delay, link_from_imu: Rotation, moves: bool, width: usize) -> Self {
+        let (effects, skew) = (Effects::new(width), Err(NotObservable::AtRest));
+        Self { delay, link_from_imu, effects, moves, skew }
+    }
+
+    pub fn mount_at(&self, t_s: f64) -> Rotation {
+        let slip = self.effects.sum(Block::Mount, t_s, &Rotation::identity());
+        self.link_from_imu * rotation_from_rotvec(slip)
+    }
+
+    pub fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
+        let effect = self.effects.of(Block::Mount).next()?;
+        let (at_s, interval_s) = effect.profile.change_s()?;
+        let size_rad = solved.length(effect.columns.clone(), &effect.values).ok()?;
+        let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values));
+        let link_from_imu = self.link_from_imu * slip;
+        Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
+    }
+
+    /// Rotation from the logged mount, in the axes of the IMU.
+    pub fn mount_error_rad(&self, known_mount: &Rotation) -> Vec3 {
+        rotvec_from_rotation(&(known_mount.inverse() * self.link_from_imu))
+    }
+
+    /// Error of the logged mount, or its observable part if that is significant; a pass requires the whole error.
+    pub fn mount_rad(
+        &self,
+        known_mount: Option<Rotation>,
+        solved: &Solved,
+    ) -> EstimateResult<MeasuredLength> {
+        let error = self.mount_error_rad(&known_mount.ok_or(NotObservable::NoFrame)?);
+        let observable = || solved.observable_length(Self::MOUNT, error.as_slice()).ok();
+        solved.length(Self::MOUNT, error.as_slice()).or_else(|why| {
+            observable().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why)
+        })
+    }
+
+    /// Clock by the fit and the samples with an additional latency compensated. Not observable at rest.
+    pub fn clock(
+        &self,
+        solved: &Solved,
+        removed_ramp: Option<&PiecewiseLatency>,
+        samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
+    ) -> Clock {
+        if !self.moves {
+            return Clock::not_observable(&NotObservable::AtRest);
+        }
+        let logged = samples(&|_| 0.0);
+        Clock {
+            latency_s: solved.measure(Self::LATENCY, self.delay.latency_s),
+            skew: self.skew.clone(),
+            latency_profile: fit_profile(&logged, 1, self.delay.skew, removed_ramp, |late_s| {
+                Some(samples(late_s))
+            }),
+        }
+    }
+
+    pub fn apply(&mut self, delta: &[f64]) {
+        self.delay.latency_s += delta[Self::LATENCY];
+        self.delay.skew += delta[Self::SKEW];
+        self.link_from_imu *= rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::MOUNT]));
+        self.effects.apply(delta);
+    }
+
+    /// Columns of equal unit whose combinations are tested together for excitation, in the order of fixing.
+    pub fn groups(&self) -> impl Iterator<Item = Range<usize>> {
+        let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
+        let slips = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
+        delay.into_iter().chain(slips).chain([Self::MOUNT])
+    }
+}
+
+pub(super) struct Linearization {
+    pub linear: Linear,
+    /// Per sample.
+    pub moments: Vec<Moment>,
+    /// Expected contribution to `AᵀA` of noise in the columns of the design (errors in variables: Fuller, *Measurement
+    /// Error Models*, 1987, §2.2). It inflates `AᵀA` and simulates information about parameters that a weak motion
+    /// does not excite.
+    pub design_noise: DMatrix<f64>,
+}
+
+pub(super) struct Moment {
+    pub t_s: f64,
+    /// Without yaw error; the identity if there is no world.
+    pub world_from_imu: Rotation,
+}
+
+/// Residual of a sample and its derivatives.
+pub(super) struct Sample<'a> {
+    pub moment: Moment,
+    pub residual: Vec3,
+    /// By a later measurement. `None` at rest.
+    pub by_latency: Option<Vec3>,
+    /// Time for the skew, from the middle of the run.
+    pub since_middle_s: f64,
+    pub mount: Rotation,
+    /// By rotations about the axes of the IMU.
+    pub by_mount: [Vec3; 3],
+    /// From this column on.
+    pub by_own: (usize, &'a [Vec3]),
+    /// By the parameters of the block besides the mount that varies.
+    pub by_other_block: &'a [Vec3],
+}
+
+impl Linearization {
+    pub fn new(common: &CommonParameters, samples: usize, floor: f64) -> Self {
+        let width = common.effects.width();
+        let mut linear = Linear::new(width, &[floor]);
+        linear.reserve(samples);
+        let moments = Vec::with_capacity(samples);
+        Self { linear, moments, design_noise: DMatrix::zeros(width, width) }
+    }
+
+    pub fn push(&mut self, common: &CommonParameters, sample: Sample) {
+        let mut rows = self.linear.push(&[sample.residual]);
+        if let Some(later) = sample.by_latency {
+            rows.set(0, CommonParameters::LATENCY, later);
+            rows.set(0, CommonParameters::SKEW, later * sample.since_middle_s);
+        }
+        // The mount is applied before the slip.
+        let before_slip = (sample.mount.inverse() * common.link_from_imu).to_rotation_matrix();
+        let by_mount = Matrix3::from_columns(&sample.by_mount) * before_slip.matrix();
+        let columns = by_mount.column_iter().map(|column| column.into_owned());
+        rows.set_from(CommonParameters::MOUNT.start, columns);
+        rows.set_from(sample.by_own.0, sample.by_own.1.iter().copied());
+        let Moment { t_s, world_from_imu } = &sample.moment;
+        let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
+        common.effects.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
+        self.moments.push(sample.moment);
+    }
+
+    /// Adds noise of the link's rotation (its covariance in base) to the columns of the mount and of its slip. Noise δ
+    /// contributes `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
+    pub fn add_mount_noise(
+        &mut self,
+        common: &CommonParameters,
+        t_s: f64,
+        base_from_imu: &Rotation,
+        covariance: &Matrix3<f64>,
+    ) {
+        let base_from_imu = base_from_imu.to_rotation_matrix();
+        let in_imu = base_from_imu.matrix().tr_mul(&(covariance * base_from_imu.matrix()));
+        let noise = Matrix3::from_diagonal_element(in_imu.trace()) - in_imu;
+        let slips = common.effects.of(Block::Mount);
+        let slips = slips
+            .map(|slip| (slip.columns.start, slip.profile.weights(t_s, &Rotation::identity())[0]));
+        for (start, weight) in slips.chain([(CommonParameters::MOUNT.start, 1.0)]) {
+            let mut block = self.design_noise.fixed_view_mut::<3, 3>(start, start);
+            block += noise * weight;
+        }
+    }
+
+    /// Adds noise of this variance to the columns of the delay.
+    pub fn add_delay_noise(&mut self, since_middle_s: f64, variance: f64) {
+        const LATENCY: usize = CommonParameters::LATENCY;
+        const SKEW: usize = CommonParameters::SKEW;
+        self.design_noise[(LATENCY, LATENCY)] += variance;
+        self.design_noise[(SKEW, SKEW)] += variance * since_middle_s.powi(2);
+    }
+}
