@@ -366,9 +366,8 @@ impl GyroModel<'_> {
             // The larger of the two biases.
             if changed_rad_s.norm() > self.bias_rad_s.norm() {
                 vector_rad_s = changed_rad_s;
-                let columns = effect.columns.clone();
-                length_rad_s =
-                    solved.length_of_sum(Self::BIAS, columns, vector_rad_s.as_slice())?;
+                let both = Self::BIAS.chain(effect.columns.clone());
+                length_rad_s = solved.length(both, vector_rad_s.as_slice())?;
             }
         }
         let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);

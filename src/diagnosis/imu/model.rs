@@ -59,7 +59,8 @@ pub(super) trait Model: Clone {
         let mut solved = solve(self, &free);
         let CommonParameters { delay, skew, .. } = self.common();
         *skew = solved.measure(CommonParameters::SKEW, delay.skew);
-        if !solved.is_significant(CommonParameters::SKEW, delay.skew, SKEW_SIGNIFICANCE) {
+        let length = solved.length([CommonParameters::SKEW].into_iter(), &[delay.skew]);
+        if !length.is_ok_and(|length| length.p_value < SKEW_SIGNIFICANCE) {
             delay.skew = 0.0;
             free.retain(|&column| column != CommonParameters::SKEW);
         }

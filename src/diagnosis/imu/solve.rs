@@ -1,11 +1,11 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
 use super::model::{Linearization, Model, Prior};
-use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::linear::{Linear, Weight};
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
 use ground::geometry::Vec3;
-use ground::stats::{MeasuredLength, joint_p_value};
+use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -105,7 +105,6 @@ impl Excited {
         let random: Vec<usize> = random.filter(|column| !free.contains(column)).collect();
         basis.extend(random.iter().map(|&column| unit(column)));
         free.extend(random);
-        free.sort_unstable();
         let basis = columns(width, &basis);
         let noise = basis.tr_mul(&design_noise) * &basis;
         let mut precision = DMatrix::zeros(width, width);
@@ -141,13 +140,11 @@ struct Step {
 
 impl Step {
     fn new(linear: &Linear, excited: &Excited, pull: &DVector<f64>) -> Self {
-        let columns: Vec<usize> = (0..linear.width).collect();
         let delta = DVector::zeros(linear.width);
         let mut step = Self { delta, weights: linear.first_weights(), independent: 0.0 };
         let basis = &excited.basis;
         for _ in 0..2 {
-            let mut normal = Normal::zeros(linear.width);
-            linear.accumulate(&step.weights, &columns, &mut normal);
+            let normal = linear.normal(&step.weights);
             // Without the design noise, a step would overshoot where a prior shares its direction.
             let matrix = basis.tr_mul(&normal.matrix) * basis + &excited.prior;
             let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(normal.right + pull)));
@@ -161,14 +158,10 @@ impl Step {
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let Excited { free, basis, mut fixed, noise, prior } = excited;
         let noise = noise * self.weights.first().map_or(0.0, Weight::base_weight);
-        let targets: Vec<(usize, usize)> =
-            free.iter().enumerate().map(|(target, column)| (*column, target)).collect();
-        let mut information = DMatrix::zeros(free.len(), free.len());
-        let mut scores = information.clone();
-        linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);
-        let own = basis.select_rows(&free);
-        let information = without_noise(own.tr_mul(&information) * &own, &noise) + &prior;
-        let mut covariance = sandwich(&information, &(own.tr_mul(&scores) * &own + &prior));
+        let parts = linear.covariance_parts(&self.weights);
+        let [information, scores] = parts.map(|part| basis.tr_mul(&part) * &basis);
+        let information = without_noise(information, &noise) + &prior;
+        let mut covariance = sandwich(&information, &(scores + &prior));
         for (at, direction) in basis.column_iter().enumerate() {
             if !covariance[(at, at)].is_finite() {
                 covariance.fill_row(at, 0.0);
@@ -176,7 +169,7 @@ impl Step {
                 fixed.push(direction.into_owned());
             }
         }
-        let covariance = &own * covariance * own.transpose();
+        let covariance = &basis * covariance * basis.transpose();
         let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
         let dof = (self.independent - (free.len() - random) as f64).max(3.0);
         let residuals = linear.residuals_after(self.delta.as_slice()).swap_remove(0);
@@ -205,35 +198,17 @@ impl Solved {
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
-    /// Length of a vector of parameters.
+    /// Length of a vector: the sum of consecutive blocks of parameters.
     pub fn length(
         &self,
-        parameters: Range<usize>,
+        parameters: impl Iterator<Item = usize> + Clone,
         vector: &[f64],
     ) -> EstimateResult<MeasuredLength> {
-        Ok(MeasuredLength::estimate(vector, &self.block(parameters)?, self.dof))
-    }
-
-    /// Length of the sum of two vectors of parameters.
-    pub fn length_of_sum(
-        &self,
-        one: Range<usize>,
-        other: Range<usize>,
-        sum: &[f64],
-    ) -> EstimateResult<MeasuredLength> {
-        let n = one.len();
-        let both = self.block(one.chain(other))?;
-        let covariance = DMatrix::from_fn(n, n, |i, j| {
-            both[(i, j)] + both[(i, n + j)] + both[(n + i, j)] + both[(n + i, n + j)]
-        });
-        Ok(MeasuredLength::estimate(sum, &covariance, self.dof))
-    }
-
-    /// Whether a parameter with fitted `value` differs from zero at the level `chance`.
-    pub fn is_significant(&self, parameter: usize, value: f64, chance: f64) -> bool {
-        let value = DVector::from_element(1, value);
-        let covariance = self.block(parameter..parameter + 1);
-        covariance.is_ok_and(|covariance| joint_p_value(&value, &covariance, self.dof) < chance)
+        let blocks = self.block(parameters)?;
+        let n = vector.len();
+        let sum = DMatrix::from_fn(n, blocks.nrows(), |i, j| f64::from(i == j % n));
+        let covariance = &sum * blocks * sum.transpose();
+        Ok(MeasuredLength::estimate(vector, &covariance, self.dof))
     }
 
     /// Length of the observable component: a lower bound.
@@ -277,10 +252,10 @@ impl Solved {
         &self,
         parameters: impl Iterator<Item = usize>,
     ) -> EstimateResult<DMatrix<f64>> {
-        let at: Option<Vec<usize>> =
-            parameters.map(|it| self.free.binary_search(&it).ok()).collect();
-        let block = at.map(|at| self.covariance.select_rows(&at).select_columns(&at));
-        let is_finite = |block: &DMatrix<f64>| block.iter().all(|value| value.is_finite());
-        block.filter(is_finite).ok_or(NotObservable::NotExcited)
+        let at: Vec<usize> = parameters.collect();
+        let block = self.covariance.select_rows(&at).select_columns(&at);
+        let is_free = at.iter().all(|column| self.free.contains(column));
+        let is_estimated = is_free && block.iter().all(|value| value.is_finite());
+        if is_estimated { Ok(block) } else { Err(NotObservable::NotExcited) }
     }
 }
