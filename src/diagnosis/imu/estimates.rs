@@ -227,4 +227,10 @@ impl ImuDiagnosis {
             headings: Vec::new(),
         }
     }
+
+    pub(super) fn drop_latency(&mut self, why: &NotObservable) {
+        self.latency_s = Err(why.clone());
+        self.latency_profile = Err(why.clone());
+        self.skew = Err(why.clone());
+    }
 }

@@ -6,12 +6,12 @@
 //! limits them.
 
 use super::effects::{Block, Profile, Shape, add_likeliest_effects};
-use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
+use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuDiagnosis};
 use super::extension_tests::ExtensionTests;
 use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
 use super::solve::Solved;
 use super::{
-    Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, check_explained, mount_of,
+    Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, check_explained, mount_of,
     noise_of_axes, rms,
 };
 use crate::latency::correlation::median_period_s;
@@ -20,8 +20,8 @@ use crate::priors::GYRO_SCALE_PRIOR;
 use crate::samples::sampling::check_sample_count;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::mean;
 use ground::stats::thin::thinned;
-use ground::stats::{MeasuredLength, mean};
 use nalgebra::Matrix3;
 use std::ops::{Range, RangeInclusive};
 
@@ -34,12 +34,10 @@ const MAX_WINDOWS: usize = 2500;
 const MAX_SHARED_END_CORRELATION: f64 = -0.2;
 
 pub(super) struct GyroFit {
-    pub clock: Clock,
+    /// Its mount is that of the gyro's axes.
+    pub diagnosis: ImuDiagnosis,
     pub delay: Delay,
-    pub bias: EstimateResult<GyroBias>,
-    pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
-    pub mount_change: Option<ImuMountChange>,
     solved: Solved,
     /// Error of the rotation by FK, relative to the rotation.
     relative_fk_error: f64,
@@ -113,14 +111,18 @@ impl Link<'_> {
             check_explained(model.mean_rate_rad_s(), residual)?;
         }
         let common = &model.common;
-        Ok(GyroFit {
-            clock: common
-                .clock(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s)),
-            delay: common.delay,
-            bias: model.bias(&solved, scale_error),
+        let found = common
+            .diagnosis(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s));
+        let diagnosis = ImuDiagnosis {
+            link_from_imu: found.link_from_imu.filter(|_| moves),
             mount_rad: common.mount_rad(self.known_mount(), &solved),
+            gyro_bias: model.bias(&solved, scale_error),
+            ..found
+        };
+        Ok(GyroFit {
+            diagnosis,
+            delay: common.delay,
             link_from_imu: common.link_from_imu,
-            mount_change: common.mount_change(&solved),
             solved,
             relative_fk_error,
         })

@@ -26,10 +26,7 @@ use crate::latency::correlation::{
     norm_series,
 };
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
-use crate::{
-    AxesError, EstimateResult, IntendedEncoding, LatencyProfile, Measured, NotObservable,
-    PoseEncoding,
-};
+use crate::{AxesError, EstimateResult, IntendedEncoding, NotObservable, PoseEncoding};
 pub use conventions::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use estimates::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
@@ -86,20 +83,7 @@ pub(super) fn diagnose_converted_imu(
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
         link.fit_orientation(start, moves, by_gyro)
     };
-    // If the orientation does not follow the arm, a match of the gyro is coincidence.
-    let clock = match (&orientation, &gyro) {
-        (Ok((clock, _)), Ok(gyro)) if clock.skew.is_err() => {
-            Clock { skew: gyro.clock.skew.clone(), ..clock.clone() }
-        }
-        (Ok((clock, _)), _) => clock.clone(),
-        (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
-        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::not_observable(why),
-    };
-    let Clock { latency_s, skew, latency_profile } = match ambiguous_lags(&peaks) {
-        Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
-        None => clock.aligned_to(stream),
-    };
-    let by_orientation = orientation.as_ref().ok().and_then(|(_, found)| found.link_from_imu);
+    let by_orientation = orientation.as_ref().ok().and_then(|found| found.link_from_imu);
     let axes_rotation = by_orientation
         .zip(by_gyro)
         .and_then(|(mount, gyro)| gyro_axes_rotation(&link, lag_s, &mount, gyro));
@@ -116,27 +100,42 @@ pub(super) fn diagnose_converted_imu(
         true => Err(NotObservable::NoOrientation),
         false => tilt::tilt(&forces[0]),
     };
-    let found = match orientation {
-        Ok((_, found)) => ImuDiagnosis { axes_rotation, up: tilt::up(&forces), ..found },
-        Err(why) => ImuDiagnosis {
-            link_from_imu: by_gyro.map(|gyro| gyro.link_from_imu),
-            mount_change: by_gyro.and_then(|gyro| gyro.mount_change),
-            mount_rad: match why {
-                NotObservable::NoOrientation => {
-                    gyro.as_ref().map_err(Clone::clone).and_then(|gyro| gyro.mount_rad.clone())
-                }
-                _ => Err(why.clone()),
-            },
+    let gyro = gyro.map(|fit| fit.diagnosis);
+    let gyro_bias = gyro.as_ref().map_err(Clone::clone).and_then(|it| it.gyro_bias.clone());
+    let mut found = match (orientation, gyro) {
+        (Ok(found), gyro) => {
+            let by_gyro = gyro.map(|gyro| gyro.skew);
+            let skew = found.skew.or_else(|why| by_gyro.unwrap_or(Err(why)));
+            ImuDiagnosis { skew, axes_rotation, up: tilt::up(&forces), ..found }
+        }
+        (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro,
+        (Err(why @ NotObservable::NoOrientation), Err(no_gyro)) => ImuDiagnosis {
+            encoding: Err(why.clone()),
+            yaw_drift_rad_s: Err(why),
+            ..ImuDiagnosis::not_observable(&no_gyro)
+        },
+        // If the orientation does not follow the arm, a match of the gyro is coincidence.
+        (Err(why), gyro) => ImuDiagnosis {
+            link_from_imu: gyro.as_ref().ok().and_then(|gyro| gyro.link_from_imu),
+            mount_change: gyro.ok().and_then(|gyro| gyro.mount_change),
             ..ImuDiagnosis::not_observable(&why)
         },
     };
+    if let Some(lags) = ambiguous_lags(&peaks) {
+        found.drop_latency(&NotObservable::Periodic(lags));
+    }
+    // Stamp errors of the clock alignment at both ends simulate a skew.
+    let span_s = match stream.track.t_s.as_slice() {
+        [first, .., last] => last - first,
+        _ => 0.0,
+    };
+    let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
     ImuDiagnosis {
-        latency_s,
-        latency_profile,
-        skew,
+        latency_s: found.latency_s.map(|it| it.with_error(stream.stamp_error_s)),
+        skew: found.skew.map(|it| it.with_error(simulated_skew)),
         conventions: numbers.clone(),
         tilt_rad,
-        gyro_bias: gyro.and_then(|fit| fit.bias),
+        gyro_bias,
         ..found
     }
 }
@@ -221,35 +220,6 @@ impl Delay {
     /// Time of measurement.
     fn truth_s(&self, stamp_s: f64) -> f64 {
         stamp_s - self.latency_s - self.skew * (stamp_s - self.middle_s)
-    }
-}
-
-#[derive(Clone, Debug)]
-struct Clock {
-    latency_s: EstimateResult<Measured>,
-    skew: EstimateResult<Measured>,
-    latency_profile: EstimateResult<LatencyProfile>,
-}
-
-impl Clock {
-    fn not_observable(why: &NotObservable) -> Self {
-        let why = why.clone();
-        Self { latency_s: Err(why.clone()), skew: Err(why.clone()), latency_profile: Err(why) }
-    }
-
-    /// Adds the error of the clock alignment.
-    fn aligned_to(self, stream: &ImuStream) -> Self {
-        let span_s = match stream.track.t_s.as_slice() {
-            [first, .., last] => last - first,
-            _ => 0.0,
-        };
-        // Stamp errors at both ends simulate a skew.
-        let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
-        Self {
-            latency_s: self.latency_s.map(|it| it.with_error(stream.stamp_error_s)),
-            skew: self.skew.map(|it| it.with_error(simulated_skew)),
-            ..self
-        }
     }
 }
 

@@ -1,9 +1,9 @@
 //! The models of an IMU's orientation and gyro: what they share, and their fit.
 
 use super::effects::{Block, Effects};
-use super::estimates::ImuMountChange;
+use super::estimates::{ImuDiagnosis, ImuMountChange};
 use super::solve::{Solved, solve};
-use super::{Clock, Delay, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE};
+use super::{Delay, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE};
 use crate::latency::profile::{LatencySample, fit_profile};
 use crate::solver::linear::Linear;
 use crate::{EstimateResult, Measured, NotObservable, PiecewiseLatency};
@@ -110,7 +110,7 @@ impl CommonParameters {
         self.link_from_imu * rotation_from_rotvec(slip)
     }
 
-    pub fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
+    fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
         let effect = self.effects.of(Block::Mount).next()?;
         let (at_s, interval_s) = effect.profile.change_s()?;
         let size_rad = solved.length(effect.columns.clone(), &effect.values).ok()?;
@@ -137,24 +137,29 @@ impl CommonParameters {
         })
     }
 
-    /// Clock by the fit and the samples with an additional latency compensated. Not observable at rest.
-    pub fn clock(
+    /// Estimates of these parameters by the fit and the samples with an additional latency compensated. No latency at
+    /// rest.
+    pub fn diagnosis(
         &self,
         solved: &Solved,
         removed_ramp: Option<&PiecewiseLatency>,
         samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
-    ) -> Clock {
-        if !self.moves {
-            return Clock::not_observable(&NotObservable::AtRest);
+    ) -> ImuDiagnosis {
+        let mut found = ImuDiagnosis {
+            link_from_imu: Some(self.link_from_imu),
+            mount_change: self.mount_change(solved),
+            ..ImuDiagnosis::not_observable(&NotObservable::NoOrientation)
+        };
+        if self.moves {
+            let (logged, skew) = (samples(&|_| 0.0), self.delay.skew);
+            let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
+            found.latency_s = solved.measure(Self::LATENCY, self.delay.latency_s);
+            found.skew = self.skew.clone();
+            found.latency_profile = fit_profile(&logged, 1, skew, removed_ramp, compensated);
+        } else {
+            found.drop_latency(&NotObservable::AtRest);
         }
-        let logged = samples(&|_| 0.0);
-        Clock {
-            latency_s: solved.measure(Self::LATENCY, self.delay.latency_s),
-            skew: self.skew.clone(),
-            latency_profile: fit_profile(&logged, 1, self.delay.skew, removed_ramp, |late_s| {
-                Some(samples(late_s))
-            }),
-        }
+        found
     }
 
     pub fn apply(&mut self, delta: &[f64]) {

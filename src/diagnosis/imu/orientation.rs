@@ -8,7 +8,7 @@ use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
 use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
 use super::solve::Solved;
-use super::{Clock, Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
+use super::{Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_imu_encoding,
@@ -18,13 +18,13 @@ use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::LatencySample;
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
-use crate::samples::sampling::check_sample_count;
+use crate::samples::sampling::{check_sample_count, rows_within};
 use crate::{EncodingEstimate, EstimateResult, HeadingPair, NotObservable, YawJump, YawProfile};
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stats::thin::thinned;
 use nalgebra::{DVector, Matrix3};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 const WHOLE_RUN_S: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
@@ -47,7 +47,7 @@ impl Link<'_> {
         start: Delay,
         moves: bool,
         gyro: Option<&GyroFit>,
-    ) -> EstimateResult<(Clock, ImuDiagnosis)> {
+    ) -> EstimateResult<ImuDiagnosis> {
         let (mut encoding, model) = self.orientation_model(start, moves, gyro)?;
         let (model, solved) = add_likeliest_effects(model, &EFFECTS);
         if let Some(side_s) = model.longer_side_s() {
@@ -57,22 +57,19 @@ impl Link<'_> {
         }
         let common = &model.common;
         self.check_rotation_explained(&common.delay, &solved.residuals)?;
-        let clock = common.clock(&solved, self.stream.removed_ramp, |late_s| {
+        let found = common.diagnosis(&solved, self.stream.removed_ramp, |late_s| {
             model.latency_samples(&solved, late_s)
         });
         let (yaw_error, headings) = model.yaw_error();
-        let found = ImuDiagnosis {
+        Ok(ImuDiagnosis {
             encoding: Ok(encoding),
             yaw_drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
             yaw_profile: model.yaw_profile(&solved),
-            link_from_imu: Some(common.link_from_imu),
-            mount_change: common.mount_change(&solved),
             yaw_error,
             headings,
             mount_rad: model.mount_rad,
-            ..ImuDiagnosis::not_observable(&NotObservable::AtRest)
-        };
-        Ok((clock, found))
+            ..found
+        })
     }
 
     /// Initial model, with the branch chosen for every sample.
@@ -133,10 +130,9 @@ impl Link<'_> {
     ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
         let track = self.stream.track;
         let known_mount = self.known_mount().unwrap_or_default();
-        let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
-        let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
+        let rows = rows_within(&track.t_s, when_s.start, when_s.end);
         let (mut fk, mut logged, mut forces) = (Vec::new(), Vec::new(), Vec::new());
-        for (k, state) in self.states(thinned(from..to, ENCODING_SAMPLES), *start) {
+        for (k, state) in self.states(thinned(rows, ENCODING_SAMPLES), *start) {
             fk.push(state.rotation * known_mount);
             logged.push(track.orientation[k]);
             forces.push(track.accel[k]);
@@ -319,26 +315,17 @@ impl OrientationModel<'_> {
         let Some((_, axis)) = best.filter(|best| best.0 <= MAX_VERTICAL_COSINE) else {
             return (errors, Vec::new());
         };
-        let by_fk: Vec<f64> = points(axis).map(|point| point.y.atan2(point.x)).collect();
-        let pairs = errors.iter().zip(unwrapped(&by_fk));
-        let pair = |(&(t_s, error), fk_rad)| HeadingPair { t_s, imu_rad: fk_rad + error, fk_rad };
-        let pairs = pairs.map(pair).collect();
+        let (mut turns, mut last) = (0.0, None);
+        let pair = |(point, &(t_s, error)): (Vec3, &(f64, f64))| {
+            let heading = point.y.atan2(point.x);
+            let change: f64 = heading - last.replace(heading).unwrap_or(heading);
+            turns -= (change / TAU).round();
+            let fk_rad = heading + turns * TAU;
+            HeadingPair { t_s, imu_rad: fk_rad + error, fk_rad }
+        };
+        let pairs = points(axis).zip(&errors).map(pair).collect();
         (errors, pairs)
     }
-}
-
-fn unwrapped(series: &[f64]) -> Vec<f64> {
-    let (mut turns, mut last) = (0.0, None);
-    let unwrap = |&angle: &f64| {
-        if let Some(last) = last.replace(angle) {
-            let change: f64 = angle - last;
-            if change.abs() > PI {
-                turns -= change.signum() * TAU;
-            }
-        }
-        angle + turns
-    };
-    series.iter().map(unwrap).collect()
 }
 
 impl Model for OrientationModel<'_> {
