@@ -1,12 +1,11 @@
 //! Units, saturation and handedness of an IMU's measurements. The gyro is compared with FK by the median
 //! ratio of their norms, which mount, axis order and signs do not affect.
 
-use super::{ImuStream, Link, MIN_FIT_SAMPLES, followed_lag_s, rms};
+use super::{ImuStream, Link, LinkState, MIN_FIT_SAMPLES, followed_lag_s, rms};
 use crate::UnitResiduals;
 use ground::geometry::{Rotation, Vec3, angle_between, mean_vector, rotation_by_wahba};
 use ground::stats::{median, quantile};
 use ground::stream::{ImuTrack, JointTrack};
-use nalgebra::Matrix3;
 use std::borrow::Cow;
 
 const GRAVITY_M_S2: f64 = 9.80665;
@@ -86,8 +85,10 @@ impl ImuConventions {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
         let followed_s = followed_lag_s(&link.peaks(max_lag_s));
-        let lag_s = followed_s.unwrap_or(0.0);
-        let pairs = followed_s.map(|lag_s| link.rate_pairs(lag_s)).unwrap_or_default();
+        let states = link.states(link.rows(), link.delay(followed_s.unwrap_or(0.0)));
+        let (moving, resting): (Vec<_>, Vec<_>) = states.partition(|(_, state)| state.moving);
+        let moving = if followed_s.is_some() { moving } else { Vec::new() };
+        let pairs = rate_pairs(stream.track, &moving);
         let plateaus = SaturationLevel::detect_all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
@@ -95,11 +96,12 @@ impl ImuConventions {
         let free = if free.len() < MIN_FIT_SAMPLES { pairs.clone() } else { free };
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
-        let free = scaled(&free, factor);
+        let free = scaled(&free, &Vec3::repeat(factor));
         let mirrored_axis = mirrored_axis(&free, link.known_mount());
         let rows = stream.track.gyro.len();
         let saturation = detect_saturation(&plateaus, &pairs, &free, factor, rows);
-        let accel = accel_unit_error(stream.track, &link.rows_at_rest(lag_s));
+        let rests: Vec<usize> = resting.iter().map(|(row, _)| *row).collect();
+        let accel = accel_unit_error(stream.track, &rests);
         Self { degrees, accel, saturation, mirrored_axis }
     }
 
@@ -134,22 +136,18 @@ const EQUALITY_TOLERANCE: f64 = 1e-5;
 /// Row, gyro, and FK body rate of the link, rad/s.
 pub(super) type RatePair = (usize, Vec3, Vec3);
 
-/// Multiplies the gyro by a factor.
-fn scaled(pairs: &[RatePair], factor: f64) -> Vec<RatePair> {
-    pairs.iter().map(|&(row, gyro, rate)| (row, factor * gyro, rate)).collect()
+pub(super) fn rate_pairs(track: &ImuTrack, states: &[(usize, LinkState)]) -> Vec<RatePair> {
+    states.iter().map(|(row, state)| (*row, track.gyro[*row], state.body_rate())).collect()
 }
 
-impl Link<'_> {
-    /// Samples while the arm moves.
-    fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
-        let moving = self.states(self.rows(), self.delay(lag_s)).filter(|(_, state)| state.moving);
-        moving.map(|(row, state)| (row, self.stream.track.gyro[row], state.body_rate())).collect()
-    }
+/// Multiplies each axis of the gyro by a factor.
+fn scaled(pairs: &[RatePair], factors: &Vec3) -> Vec<RatePair> {
+    pairs.iter().map(|&(row, gyro, rate)| (row, gyro.component_mul(factors), rate)).collect()
+}
 
-    fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
-        let states = self.states(self.rows(), self.delay(lag_s));
-        states.filter(|(_, state)| !state.moving).map(|(row, _)| row).collect()
-    }
+/// Rms rate of the link.
+fn rms_rate(pairs: &[RatePair]) -> f64 {
+    rms(pairs.iter().map(|(_, _, rate)| rate.norm()))
 }
 
 /// Residuals if the gyro matches the arm only in °/s.
@@ -158,7 +156,7 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     const MIN_RATE_SHARE: f64 = 0.5;
     /// Share of the arm's rate, in °/s; a gyro has smaller residuals.
     const MAX_RESIDUAL_SHARE: f64 = 0.7;
-    let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
+    let by_fk = rms_rate(pairs);
     let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
     let mut ratios: Vec<f64> = fast.map(|(_, gyro, rate)| gyro.norm() / rate.norm()).collect();
     if ratios.len() < MIN_FIT_SAMPLES {
@@ -168,10 +166,7 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     if (ratio.to_radians() - 1.0).abs() > UNIT_TOLERANCE {
         return None;
     }
-    let left = |factor: f64| {
-        let scaled = scaled(pairs, factor);
-        Alignment::fit(&scaled).rms_residual(&scaled)
-    };
+    let left = |factor: f64| Alignment::fit(&scaled(pairs, &Vec3::repeat(factor))).residual;
     let slip = UnitResiduals { as_logged: left(1.0), corrected: left(1f64.to_radians()) };
     (slip.corrected < MAX_RESIDUAL_SHARE * by_fk).then_some(slip)
 }
@@ -181,6 +176,8 @@ pub(super) struct Alignment {
     pub link_from_imu: Rotation,
     pub bias: Vec3,
     pub mean_rate: Vec3,
+    /// Rms.
+    pub residual: f64,
 }
 
 impl Alignment {
@@ -189,17 +186,16 @@ impl Alignment {
         let mean_rate = mean_vector(pairs.iter().map(|(_, _, rate)| rate));
         let products =
             pairs.iter().map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose());
-        let correlation: Matrix3<f64> = products.sum();
-        let link_from_imu = rotation_by_wahba(&correlation);
-        Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate, mean_rate }
+        let link_from_imu = rotation_by_wahba(&products.sum());
+        let bias = mean - link_from_imu.inverse() * mean_rate;
+        let mut found = Self { link_from_imu, bias, mean_rate, residual: 0.0 };
+        let residuals = pairs.iter().map(|(_, gyro, rate)| (gyro - found.expected(rate)).norm());
+        found.residual = rms(residuals);
+        found
     }
 
     fn expected(&self, rate: &Vec3) -> Vec3 {
         self.link_from_imu.inverse() * rate + self.bias
-    }
-
-    pub fn rms_residual(&self, pairs: &[RatePair]) -> f64 {
-        rms(pairs.iter().map(|(_, gyro, rate)| (gyro - self.expected(rate)).norm()))
     }
 }
 
@@ -211,25 +207,17 @@ fn mirrored_axis(pairs: &[RatePair], known_mount: Option<Rotation>) -> Option<us
     if pairs.len() < MIN_FIT_SAMPLES {
         return None;
     }
-    let left = |pairs: &[RatePair]| {
-        let alignment = Alignment::fit(pairs);
-        (alignment.rms_residual(pairs), alignment.link_from_imu)
-    };
-    let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
-    let right_handed = left(pairs).0;
-    let reversed = |axis: usize| {
-        let flipped = |(row, gyro, rate): &RatePair| {
-            let mut gyro = *gyro;
-            gyro[axis] = -gyro[axis];
-            (*row, gyro, *rate)
-        };
-        let (off, mount) = left(&pairs.iter().map(flipped).collect::<Vec<_>>());
-        let turned = known_mount.map_or(0.0, |known| angle_between(&known, &mount));
-        (off < MAX_RESIDUAL_SHARE * right_handed.min(by_fk)).then_some((axis, turned))
-    };
+    let (by_fk, right_handed) = (rms_rate(pairs), Alignment::fit(pairs).residual);
     if right_handed < MAX_RESIDUAL_SHARE * by_fk {
         return None;
     }
+    let reversed = |axis: usize| {
+        let mut signs = Vec3::repeat(1.0);
+        signs[axis] = -1.0;
+        let Alignment { link_from_imu, residual, .. } = Alignment::fit(&scaled(pairs, &signs));
+        let turned = known_mount.map_or(0.0, |known| angle_between(&known, &link_from_imu));
+        (residual < MAX_RESIDUAL_SHARE * right_handed.min(by_fk)).then_some((axis, turned))
+    };
     let all = (0..3).filter_map(reversed);
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
 }

@@ -1,6 +1,6 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
-use super::conventions::{Alignment, RatePair};
+use super::conventions::{Alignment, rate_pairs};
 use super::{Delay, ImuDiagnosis, ImuStream, Link, LinkState, followed_lag_s, noise_of_axes};
 use crate::frames::rotation_frames::mean_rotation;
 use crate::residuals::residual_check::{ErrorSeries, FkError};
@@ -98,10 +98,9 @@ fn orientation_residual(
 /// With the best-fitting mount. `None` if the gyro is always zero.
 fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
-    let pairs = link_states.iter().map(|(row, state)| (*row, gyro[*row], state.body_rate()));
-    let pairs: Vec<RatePair> = pairs.filter(|(_, gyro, _)| !link.numbers.saturates(gyro)).collect();
-    let alignment = Alignment::fit(&pairs);
-    let Alignment { link_from_imu, bias, mean_rate } = &alignment;
+    let mut pairs = rate_pairs(link.stream.track, link_states);
+    pairs.retain(|(_, gyro, _)| !link.numbers.saturates(gyro));
+    let Alignment { link_from_imu, bias, mean_rate, residual } = Alignment::fit(&pairs);
     let (mut along, mut square) = (0.0, 0.0);
     for (_, gyro, rate) in &pairs {
         let rate = rate - mean_rate;
@@ -111,7 +110,7 @@ fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<Gyro
     let has_rates = gyro.iter().any(|gyro| gyro.norm() > 0.0);
     (has_rates && square > 0.0).then(|| GyroResidual {
         scale: along / square,
-        residual: alignment.rms_residual(&pairs),
+        residual,
         by_fk: (square / pairs.len() as f64).sqrt(),
         noise: noise_of_axes(gyro).norm(),
     })
