@@ -69,9 +69,10 @@ impl Link<'_> {
             common: CommonParameters::new(delay, mount, moves, GyroModel::WIDTH),
             windows: self.windows(window_s, &delay),
             bias_rad_s: Vec3::zeros(),
-            scale_error: Matrix3::zeros(),
+            scale: [0.0; 7],
             scale_columns: 0..0,
             rate_without_noise: Matrix3::identity(),
+            noise: noise_of_axes(&self.stream.track.gyro).norm_squared() / 3.0,
         };
         check_sample_count(model.windows.len(), MIN_FIT_SAMPLES)?;
         model.fit();
@@ -88,24 +89,19 @@ impl Link<'_> {
             [(Block::Bias, Shape::Step), (Block::Bias, Shape::Decay), (Block::Mount, Shape::Step)];
         let effects = if moves { &effects[..] } else { &effects[..2] };
         let (mut model, mut solved) = add_likeliest_effects(model, effects);
-        let mut scale_error = None;
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
-            let likeliest = model.likely_scale_errors().into_iter().find_map(|scale_columns| {
+            for scale_columns in model.likely_scale_errors() {
                 let mut scaled = GyroModel { scale_columns, ..model.clone() };
                 let fit = scaled.fit();
-                Some((scaled.estimate_scale_error(&fit)?, scaled, fit))
-            });
-            if let Some((error, scaled, fit)) = likeliest {
-                (scale_error, model, solved) = (Some(error), scaled, fit);
+                if scaled.scale_error(&fit).is_some() {
+                    (model, solved) = (scaled, fit);
+                    break;
+                }
             }
         }
         let rotation_rad = self.rotation_rms_rad(&model.common.delay);
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
-        let scale_error = scale_error.map(|it: GyroScaleError| {
-            let scale = it.scale.map(|one| one.with_error(relative_fk_error));
-            GyroScaleError { scale, ..it }
-        });
         if rotation_rad > MIN_ROTATION_RAD {
             let residual = rms(solved.residuals.iter().map(Vec3::norm));
             check_explained(model.mean_rate_rad_s(), residual)?;
@@ -116,7 +112,7 @@ impl Link<'_> {
         let diagnosis = ImuDiagnosis {
             link_from_imu: found.link_from_imu.filter(|_| moves),
             mount_rad: common.mount_rad(self.known_mount(), &solved),
-            gyro_bias: model.bias(&solved, scale_error),
+            gyro_bias: model.bias(&solved, relative_fk_error),
             ..found
         };
         Ok(GyroFit {
@@ -168,12 +164,14 @@ struct GyroModel<'a> {
     common: CommonParameters,
     windows: Vec<RangeInclusive<usize>>,
     bias_rad_s: Vec3,
-    /// Symmetric; an antisymmetric part would be a rotation and belongs to the mount.
-    scale_error: Matrix3<f64>,
+    /// Scale error by each of [`Self::scale_units`].
+    scale: [f64; 7],
     /// Columns of the scale error. Empty without one.
     scale_columns: Range<usize>,
     /// Maps a measured rate to its best linear estimate (Wiener filter), for the columns of the scale error.
     rate_without_noise: Matrix3<f64>,
+    /// Variance of one axis of the gyro from sample to sample.
+    noise: f64,
 }
 
 #[derive(Default)]
@@ -190,13 +188,13 @@ struct IntegratedRotation {
 
 impl GyroModel<'_> {
     const BIAS: Range<usize> = CommonParameters::WIDTH..CommonParameters::WIDTH + 3;
-    const SCALE_ERROR: Range<usize> = Self::BIAS.end..Self::BIAS.end + 6;
-    /// The same scale error of all axes.
-    const COMMON_SCALE_ERROR: usize = Self::SCALE_ERROR.end;
-    const WIDTH: usize = Self::COMMON_SCALE_ERROR + 1;
-    const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+    /// Of single entries, and of all axes alike.
+    const SCALE_ENTRIES: Range<usize> = Self::BIAS.end..Self::BIAS.end + 6;
+    const COMMON_SCALE: Range<usize> = Self::SCALE_ENTRIES.end..Self::SCALE_ENTRIES.end + 1;
+    const WIDTH: usize = Self::COMMON_SCALE.end;
 
-    /// Scale error by each of its columns.
+    /// Scale error by each of its columns: symmetric, because an antisymmetric part would be a rotation and belongs to
+    /// the mount.
     fn scale_units() -> impl Iterator<Item = Matrix3<f64>> {
         let entry = |(row, column)| {
             let mut unit = Matrix3::zeros();
@@ -204,7 +202,14 @@ impl GyroModel<'_> {
             unit[(column, row)] = 1.0;
             unit
         };
-        Self::SCALE_ENTRIES.into_iter().map(entry).chain([Matrix3::identity()])
+        let entries = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+        entries.into_iter().map(entry).chain([Matrix3::identity()])
+    }
+
+    /// Maps a measured rate without bias to the true one.
+    fn unscale(&self) -> Matrix3<f64> {
+        let parts = Self::scale_units().zip(self.scale).map(|(unit, value)| unit * value);
+        (Matrix3::identity() + parts.sum::<Matrix3<f64>>()).try_inverse().unwrap_or_default()
     }
 
     fn bias_at(&self, t_s: f64) -> Vec3 {
@@ -216,7 +221,7 @@ impl GyroModel<'_> {
         /// Long enough to average joint velocity noise, short relative to the motion.
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
-        let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
+        let unscale = self.unscale();
         let mut buffers = self.link.buffers();
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
@@ -242,7 +247,7 @@ impl GyroModel<'_> {
     /// Midpoint rule.
     fn integrate(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
-        let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
+        let unscale = self.unscale();
         let rate = |k: usize| unscale * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
         let (rates, duration_s) = ([rate(first), rate(last)], track.t_s[last] - track.t_s[first]);
@@ -318,38 +323,33 @@ impl GyroModel<'_> {
         let base: Vec<(usize, f64)> =
             tested_with.chain(self.common.effects.columns()).map(|column| (column, 0.0)).collect();
         let tests = ExtensionTests::new(&linearization, &base, Self::MODEL_ERROR);
-        let common = Self::COMMON_SCALE_ERROR..Self::COMMON_SCALE_ERROR + 1;
-        let scored = [common, Self::SCALE_ERROR].into_iter().filter_map(|range| {
-            let test = tests.as_ref()?.compare(range.clone(), &|_| vec![1.0], GYRO_SCALE_PRIOR)?;
-            Some((range, test.0))
+        let scored = [Self::COMMON_SCALE, Self::SCALE_ENTRIES].into_iter().filter_map(|columns| {
+            let test =
+                tests.as_ref()?.compare(columns.clone(), &|_| vec![1.0], GYRO_SCALE_PRIOR)?;
+            Some((columns, test.0))
         });
         let mut likely: Vec<_> = scored.filter(|(_, factor)| *factor > 0.0).collect();
         likely.sort_by(|a, b| b.1.total_cmp(&a.1));
-        likely.into_iter().map(|(range, _)| range).collect()
+        likely.into_iter().map(|(columns, _)| columns).collect()
     }
 
-    /// `None` if the motion does not show all of it.
-    fn estimate_scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
-        if self.scale_columns.contains(&Self::COMMON_SCALE_ERROR) {
-            let common = solved.measure(Self::COMMON_SCALE_ERROR, self.scale_error[(0, 0)]).ok()?;
-            return Some(GyroScaleError { scale: [common; 3], misalignment_rad: None });
+    /// `None` without one, and if the motion does not show all of it.
+    fn scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
+        let value = |column: usize| self.scale[column - Self::SCALE_ENTRIES.start];
+        let columns = self.scale_columns.clone();
+        let measured = columns.map(|column| solved.measure(column, value(column)).ok());
+        match *measured.collect::<Option<Vec<Measured>>>()? {
+            [common] => Some(GyroScaleError { scale: [common; 3], misalignment_rad: None }),
+            [x, y, z, yz, xz, xy] => {
+                Some(GyroScaleError { scale: [x, y, z], misalignment_rad: Some([yz, xz, xy]) })
+            }
+            _ => None,
         }
-        let entries = self.scale_columns.clone().zip(Self::SCALE_ENTRIES);
-        let measured = |(column, at): (usize, (usize, usize))| {
-            solved.measure(column, self.scale_error[at]).ok()
-        };
-        let entries: Vec<Measured> = entries.filter_map(measured).collect();
-        let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
-        Some(GyroScaleError { scale: [x, y, z], misalignment_rad: Some([yz, xz, xy]) })
     }
 
-    fn bias(
-        &self,
-        solved: &Solved,
-        scale_error: Option<GyroScaleError>,
-    ) -> EstimateResult<GyroBias> {
+    fn bias(&self, solved: &Solved, relative_fk_error: f64) -> EstimateResult<GyroBias> {
         let mut vector_rad_s = self.bias_rad_s;
-        let mut length_rad_s = solved.length(Self::BIAS, vector_rad_s.as_slice())?;
+        let mut columns: Vec<usize> = Self::BIAS.collect();
         let mut change = None;
         if let Some(effect) = self.common.effects.of(Block::Bias).next() {
             let changed_rad_s = self.bias_rad_s + Vec3::from_column_slice(&effect.values);
@@ -368,12 +368,20 @@ impl GyroModel<'_> {
             // The larger of the two biases.
             if changed_rad_s.norm() > self.bias_rad_s.norm() {
                 vector_rad_s = changed_rad_s;
-                let both = Self::BIAS.chain(effect.columns.clone());
-                length_rad_s = solved.length(both, vector_rad_s.as_slice())?;
+                columns.extend(effect.columns.clone());
             }
         }
-        let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
-        Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, scale_error, change })
+        let scale_error = self.scale_error(solved).map(|it| {
+            let scale = it.scale.map(|one| one.with_error(relative_fk_error));
+            GyroScaleError { scale, ..it }
+        });
+        Ok(GyroBias {
+            vector_rad_s,
+            length_rad_s: solved.length(columns.into_iter(), vector_rad_s.as_slice())?,
+            yaw_rate_rad_s: self.yaw_rate(&vector_rad_s),
+            scale_error,
+            change,
+        })
     }
 
     /// Mean rate about the base's z that the bias simulates.
@@ -397,7 +405,6 @@ impl Model for GyroModel<'_> {
     fn linearize(&self) -> Linearization {
         let common = &self.common;
         let mut linearization = Linearization::new(common, self.windows.len(), FLOOR_RAD_S);
-        let gyro_noise = noise_of_axes(&self.link.stream.track.gyro).norm_squared() / 3.0;
         let slip_s =
             common.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
@@ -409,11 +416,11 @@ impl Model for GyroModel<'_> {
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
             linearization.add_mount_noise(common, from_s, &base_from_imu, &in_base);
             if moving {
-                let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
+                let by_ends = 3.0 * 2.0 * self.noise * per_s.powi(2);
                 linearization.add_delay_noise(since_middle_s, by_ends);
             }
-            let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
-            for (column, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
+            let of_mean = self.noise / (window.end() - window.start()).max(1) as f64;
+            for (column, unit) in (Self::SCALE_ENTRIES.start..).zip(Self::scale_units()) {
                 linearization.design_noise[(column, column)] += of_mean * unit.norm_squared();
             }
             if slip_s.is_some_and(|(at_s, _)| from_s <= at_s && at_s < to_s) {
@@ -443,9 +450,8 @@ impl Model for GyroModel<'_> {
 
     fn apply(&mut self, delta: &[f64]) {
         self.bias_rad_s += Vec3::from_column_slice(&delta[Self::BIAS]);
-        for (parameter, unit) in (Self::SCALE_ERROR.start..).zip(Self::scale_units()) {
-            self.scale_error += unit * delta[parameter];
-        }
+        let step = &delta[Self::SCALE_ENTRIES.start..];
+        self.scale.iter_mut().zip(step).for_each(|(value, step)| *value += step);
     }
 
     fn free(&self) -> Vec<usize> {
@@ -466,9 +472,9 @@ impl Model for GyroModel<'_> {
 
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
-        let constant = if self.common.moves { 0..Self::SCALE_ERROR.end } else { Self::BIAS };
+        let constant = if self.common.moves { 0..Self::SCALE_ENTRIES.end } else { Self::BIAS };
         let constant = constant.filter(|column| *column != CommonParameters::SKEW);
-        let precision = |column: usize| match Self::SCALE_ERROR.contains(&column) {
+        let precision = |column: usize| match Self::SCALE_ENTRIES.contains(&column) {
             true => GYRO_SCALE_PRIOR.powi(-2),
             false => 0.0,
         };
@@ -479,9 +485,7 @@ impl Model for GyroModel<'_> {
         let prior = |column: usize| Prior {
             column,
             variance: GYRO_SCALE_PRIOR.powi(2),
-            value: Self::SCALE_ENTRIES
-                .get(column - Self::SCALE_ERROR.start)
-                .map_or(self.scale_error[(0, 0)], |at| self.scale_error[*at]),
+            value: self.scale[column - Self::SCALE_ENTRIES.start],
         };
         self.scale_columns.clone().map(prior).chain(self.common.effects.priors()).collect()
     }
