@@ -345,7 +345,7 @@ mod tests {
                     since_middle_s: since_s,
                     mount: Rotation::identity(),
                     by_mount: [Vec3::zeros(); 3],
-                    by_own: (Self::OFFSET, &[Vec3::z(), Vec3::z() * since_s]),
+                    by_own: &[Vec3::z(), Vec3::z() * since_s],
                     by_other_block: &[Vec3::z()],
                 };
                 linearization.push(&self.common, sample);

@@ -102,10 +102,8 @@ impl Link<'_> {
         }
         let rotation_rad = self.rotation_rms_rad(&model.common.delay);
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
-        if rotation_rad > MIN_ROTATION_RAD {
-            let residual = rms(solved.residuals.iter().map(Vec3::norm));
-            check_explained(model.mean_rate_rad_s(), residual)?;
-        }
+        let residual = rms(solved.residuals.iter().map(Vec3::norm));
+        check_explained(rotation_rad, model.mean_rate_rad_s(), residual)?;
         let common = &model.common;
         let found = common
             .diagnosis(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s));
@@ -440,7 +438,7 @@ impl Model for GyroModel<'_> {
                 since_middle_s,
                 mount,
                 by_mount: units.map(|unit| (unit - last_from_first * unit) * per_s),
-                by_own: (Self::BIAS.start, &[&by_bias[..], &by_scale_error].concat()),
+                by_own: &[&by_bias[..], &by_scale_error].concat(),
                 by_other_block: &by_bias,
             };
             linearization.push(common, sample);
@@ -472,13 +470,13 @@ impl Model for GyroModel<'_> {
 
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
-        let constant = if self.common.moves { 0..Self::SCALE_ENTRIES.end } else { Self::BIAS };
-        let constant = constant.filter(|column| *column != CommonParameters::SKEW);
-        let precision = |column: usize| match Self::SCALE_ENTRIES.contains(&column) {
-            true => GYRO_SCALE_PRIOR.powi(-2),
-            false => 0.0,
-        };
-        constant.map(|column| (column, precision(column))).collect()
+        let bias = Self::BIAS.map(|column| (column, 0.0));
+        if !self.common.moves {
+            return bias.collect();
+        }
+        let delay_and_mount = CommonParameters::MOUNT.chain([CommonParameters::LATENCY]);
+        let scale = Self::SCALE_ENTRIES.map(|column| (column, GYRO_SCALE_PRIOR.powi(-2)));
+        delay_and_mount.map(|column| (column, 0.0)).chain(bias).chain(scale).collect()
     }
 
     fn priors(&self) -> Vec<Prior> {

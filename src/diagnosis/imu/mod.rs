@@ -25,7 +25,7 @@ use crate::latency::correlation::{
     ArmSpeeds, LagPeak, SpeedSeries, angular_speed, correlation_by_lag, equal_peaks, lag_peaks,
     norm_series,
 };
-use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
+use crate::samples::sampling::{FkSequence, REST_SIGMAS, rest_speeds};
 use crate::{AxesError, EstimateResult, IntendedEncoding, NotObservable, PoseEncoding};
 pub use conventions::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use estimates::{
@@ -198,11 +198,9 @@ pub fn reinterpret_imu(
     let numbers = ImuConventions::default();
     let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(max_lag_s).first().map_or(0.0, |peak| peak.lag_s);
-    let mut buffers = link.buffers();
-    let state = |stamp: &f64| link.at(stamp - lag_s, &mut buffers);
-    let states = stream.track.t_s.iter().map(state);
-    let expected: Vec<Option<Rotation>> =
-        states.map(|state| state.map(|state| state.rotation)).collect();
+    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
+    let mut by_fk = |stamp_s: &f64| fk.at(stamp_s - lag_s).map(|pose| pose.rotation);
+    let expected: Vec<Option<Rotation>> = stream.track.t_s.iter().map(&mut by_fk).collect();
     let mount = link.known_mount().unwrap_or_default();
     let intended = IntendedEncoding { encoding, axes: AxesError::NONE, is_inverted: false };
     decode_rotations(&stream.track.orientation, &intended, &expected, &mount, false)
@@ -292,13 +290,14 @@ impl LinkState {
     }
 }
 
-/// Checks that the model explains the IMU's rotation, given its rms and the rms residual.
+/// Checks that the model explains rotation or rate `by_fk`, given the residual, all rms. Ignores rotations that are too
+/// small.
 ///
 /// # Errors
 /// If the correlation is too low.
-fn check_explained(rotation: f64, residual: f64) -> EstimateResult<()> {
-    let correlation = (1.0 - (residual / rotation).powi(2)).max(0.0).sqrt();
-    if correlation < MIN_EXPLAINED_SHARE {
+fn check_explained(rotation_rad: f64, by_fk: f64, residual: f64) -> EstimateResult<()> {
+    let correlation = (1.0 - (residual / by_fk).powi(2)).max(0.0).sqrt();
+    if rotation_rad > MIN_ROTATION_RAD && correlation < MIN_EXPLAINED_SHARE {
         Err(NotObservable::DoesNotFollow(correlation))
     } else {
         Ok(())
@@ -393,11 +392,7 @@ impl<'a> Link<'a> {
             let mean = mean_vector(block);
             block.iter().map(move |residual| (residual - mean).norm())
         }));
-        if rotation_rad > MIN_ROTATION_RAD {
-            check_explained(rotation_rad, residual_rad)
-        } else {
-            Ok(())
-        }
+        check_explained(rotation_rad, rotation_rad, residual_rad)
     }
 
     /// Evenly thinned rows of the stream.

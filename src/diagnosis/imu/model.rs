@@ -204,8 +204,8 @@ pub(super) struct Sample<'a> {
     pub mount: Rotation,
     /// By rotations about the axes of the IMU.
     pub by_mount: [Vec3; 3],
-    /// From this column on.
-    pub by_own: (usize, &'a [Vec3]),
+    /// By the model's own parameters, in the order of their columns.
+    pub by_own: &'a [Vec3],
     /// By the parameters of the block besides the mount that varies.
     pub by_other_block: &'a [Vec3],
 }
@@ -230,7 +230,7 @@ impl Linearization {
         let by_mount = Matrix3::from_columns(&sample.by_mount) * before_slip.matrix();
         let columns = by_mount.column_iter().map(|column| column.into_owned());
         rows.set_from(CommonParameters::MOUNT.start, columns);
-        rows.set_from(sample.by_own.0, sample.by_own.1.iter().copied());
+        rows.set_from(CommonParameters::WIDTH, sample.by_own.iter().copied());
         let Moment { t_s, world_from_imu } = &sample.moment;
         let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
         common.effects.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);

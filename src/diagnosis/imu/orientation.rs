@@ -367,7 +367,7 @@ impl Model for OrientationModel<'_> {
                 since_middle_s,
                 mount,
                 by_mount: units.map(|unit| predicted * unit),
-                by_own: (Self::WORLD.start, &by_own),
+                by_own: &by_own,
                 by_other_block: &[Vec3::z()],
             };
             linearization.push(common, sample);

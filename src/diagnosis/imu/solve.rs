@@ -25,10 +25,8 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     const MAX_STEPS: usize = 8;
     /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
-    let groups: Vec<Range<usize>> =
-        [model.own_group()].into_iter().chain(model.common().groups()).collect();
     let mut linearization = model.linearize();
-    let excited = Excited::new(&linearization, &groups, free, &model.priors());
+    let excited = Excited::new(model, &linearization, free);
     let mut remaining_steps = MAX_STEPS;
     loop {
         let linear = &linearization.linear;
@@ -65,29 +63,24 @@ impl Excited {
     /// two in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
 
-    /// Tests the combinations of each of `groups` together, in the order of fixing.
-    fn new(
-        Linearization { linear, design_noise, .. }: &Linearization,
-        groups: &[Range<usize>],
-        free: &[usize],
-        priors: &[Prior],
-    ) -> Self {
+    fn new(model: &mut impl Model, linearization: &Linearization, free: &[usize]) -> Self {
+        let Linearization { linear, design_noise, .. } = linearization;
         let width = linear.width;
         let squares = linear.information(&linear.even_weights());
-        let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(i == column));
+        let units = DMatrix::identity(width, width);
         let mut free = free.to_vec();
         free.sort_unstable();
-        let mut basis: Vec<DVector<f64>> = free.iter().map(|&column| unit(column)).collect();
+        let mut basis: Vec<DVector<f64>> =
+            free.iter().map(|&column| units.column(column).into_owned()).collect();
         let mut fixed = Vec::new();
-        for group in groups {
-            let own_columns: Vec<usize> =
-                group.clone().filter(|column| free.contains(column)).collect();
+        let own_group = model.own_group();
+        for group in [own_group].into_iter().chain(model.common().groups()) {
+            let own_columns: Vec<usize> = group.filter(|column| free.contains(column)).collect();
             if own_columns.is_empty() {
                 continue;
             }
             basis.retain(|direction| own_columns.iter().all(|&column| direction[column] == 0.0));
-            let own_columns =
-                columns(width, &own_columns.iter().map(|&column| unit(column)).collect::<Vec<_>>());
+            let own_columns = units.select_columns(&own_columns);
             let others = columns(width, &basis);
             // Effects that the other parameters do not explain.
             let across = others.tr_mul(&squares) * &own_columns;
@@ -101,16 +94,16 @@ impl Excited {
                 if *excess > 0.0 { basis.push(direction) } else { fixed.push(direction) }
             }
         }
-        let random = priors.iter().map(|prior| prior.column);
-        let random: Vec<usize> = random.filter(|column| !free.contains(column)).collect();
-        basis.extend(random.iter().map(|&column| unit(column)));
-        free.extend(random);
+        let mut precision = DMatrix::zeros(width, width);
+        for Prior { column, variance, .. } in model.priors() {
+            precision[(column, column)] = variance.recip();
+            if !free.contains(&column) {
+                basis.push(units.column(column).into_owned());
+                free.push(column);
+            }
+        }
         let basis = columns(width, &basis);
         let noise = basis.tr_mul(&design_noise) * &basis;
-        let mut precision = DMatrix::zeros(width, width);
-        for prior in priors {
-            precision[(prior.column, prior.column)] = prior.variance.recip();
-        }
         let prior = basis.tr_mul(&precision) * &basis;
         Self { free, basis, fixed, noise, prior }
     }
