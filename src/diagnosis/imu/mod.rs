@@ -87,15 +87,10 @@ pub(super) fn diagnose_converted_imu(
     let axes_rotation = by_orientation
         .zip(by_gyro)
         .and_then(|(mount, gyro)| gyro_axes_rotation(&link, lag_s, &mount, gyro));
-    let rotated_accel = axes_rotation.filter(|rotation| rotation.with_accel).map(|rotation| {
-        let accel = stream.track.accel.iter().map(|accel| rotation.imu_from_gyro * accel).collect();
-        ImuTrack { accel, ..stream.track.clone() }
-    });
-    let accel_stream =
-        ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
-    let link = Link::new(joints, &accel_stream, numbers);
+    let with_gyro = axes_rotation.filter(|rotation| rotation.with_accel);
+    let imu_from_accel = with_gyro.map_or_else(Rotation::identity, |it| it.imu_from_gyro);
     let mount = by_orientation.or(link.known_mount()).unwrap_or_default();
-    let forces = link.static_forces(lag_s, &mount);
+    let forces = link.static_forces(lag_s, &mount, &imu_from_accel);
     let tilt_rad = match stream.track.orientation.is_empty() {
         true => Err(NotObservable::NoOrientation),
         false => tilt::tilt(&forces[0]),

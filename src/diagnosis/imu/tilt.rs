@@ -8,10 +8,9 @@ use ground::geometry::{Rotation, Vec3, mean_vector};
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
-/// Around a sample at rest.
-const REST_MARGIN_S: f64 = 0.05;
-/// For second differences of FK's positions. Noise of a joint of 1e-4 rad is 0.06 m/s² at 1 m, and averages out.
-const ACCELERATION_STEP_S: f64 = 0.05;
+/// From a sample to the states of the link before and after it: for rest, and for second differences of FK's positions.
+/// Noise of a joint of 1e-4 rad is 0.06 m/s² at 1 m, and averages out.
+const STEP_S: f64 = 0.05;
 const MIN_SAMPLES: usize = 4 * BLOCKS;
 
 impl Link<'_> {
@@ -27,48 +26,38 @@ impl Link<'_> {
     }
 
     /// Specific forces without acceleration, in the orientation's world and in the base: while the arm rests, otherwise
-    /// those in motion less the acceleration by FK.
-    pub(super) fn static_forces(&self, lag_s: f64, link_from_imu: &Rotation) -> [Vec<Vec3>; 2] {
-        let at_rest = self.forces(lag_s, link_from_imu, REST_MARGIN_S, |states| {
-            states.iter().all(|state| !state.moving).then(Vec3::zeros)
-        });
-        if at_rest[0].len() >= MIN_SAMPLES {
-            return at_rest;
-        }
-        let imu_in_link =
-            self.stream.link_from_imu.map_or(Vec3::zeros(), |pose| pose.translation.vector);
-        self.forces(lag_s, link_from_imu, ACCELERATION_STEP_S, |states| {
-            let [before, at, after] =
-                states.each_ref().map(|state| state.position + state.rotation * imu_in_link);
-            Some((before - 2.0 * at + after) / ACCELERATION_STEP_S.powi(2))
-        })
-    }
-
-    /// Specific forces less the acceleration in the base, by the states of the link `step_s` before, at and after the
-    /// sample. Skips samples without an acceleration.
-    fn forces(
+    /// all less the acceleration by FK.
+    pub(super) fn static_forces(
         &self,
         lag_s: f64,
         link_from_imu: &Rotation,
-        step_s: f64,
-        acceleration: impl Fn([LinkState; 3]) -> Option<Vec3>,
+        imu_from_accel: &Rotation,
     ) -> [Vec<Vec3>; 2] {
         let track = self.stream.track;
+        let imu_in_link =
+            self.stream.link_from_imu.map_or(Vec3::zeros(), |pose| pose.translation.vector);
         let mut buffers = self.buffers();
-        let (mut in_world, mut in_base) = (Vec::new(), Vec::new());
-        for k in self.rows().filter(|_| !track.orientation.is_empty()) {
-            let t_s = track.t_s[k] - lag_s;
-            let mut state = |by_s: f64| self.at(t_s + by_s, &mut buffers);
-            let (Some(before), Some(at), Some(after)) = (state(-step_s), state(0.0), state(step_s))
-            else {
-                continue;
-            };
-            let base_from_imu = at.rotation * link_from_imu;
-            let Some(acceleration) = acceleration([before, at, after]) else { continue };
-            let force = track.accel[k] - base_from_imu.inverse() * acceleration;
-            in_world.push(track.orientation[k] * force);
-            in_base.push(base_from_imu * force);
-        }
+        let mut at = |row: usize, by_s: f64| self.at(track.t_s[row] - lag_s + by_s, &mut buffers);
+        let rows = self.rows().filter(|_| !track.orientation.is_empty());
+        let samples: Vec<(usize, [LinkState; 3])> = rows
+            .filter_map(|row| Some((row, [at(row, -STEP_S)?, at(row, 0.0)?, at(row, STEP_S)?])))
+            .collect();
+        let rests = |states: &[LinkState; 3]| states.iter().all(|state| !state.moving);
+        let at_rest = samples.iter().filter(|(_, states)| rests(states)).count() >= MIN_SAMPLES;
+        let forces =
+            samples.iter().filter(|(_, states)| rests(states) || !at_rest).map(|(row, states)| {
+                let [before, now, after] =
+                    states.each_ref().map(|state| state.position + state.rotation * imu_in_link);
+                let acceleration = match at_rest {
+                    true => Vec3::zeros(),
+                    false => (before - 2.0 * now + after) / STEP_S.powi(2),
+                };
+                let base_from_imu = states[1].rotation * link_from_imu;
+                let force =
+                    imu_from_accel * track.accel[*row] - base_from_imu.inverse() * acceleration;
+                (track.orientation[*row] * force, base_from_imu * force)
+            });
+        let (in_world, in_base) = forces.unzip();
         [in_world, in_base]
     }
 }
