@@ -104,7 +104,6 @@ impl<'a> ExtensionTests<'a> {
         let residual = &linear.residual[0];
         let sigma = robust_sigma(residual).max(model_error);
         let outlier = 3.0 * (OUTLIER_SIGMAS * sigma).powi(2);
-        let (columns, precision): (Vec<usize>, Vec<f64>) = base.iter().copied().unzip();
         let mut tests = Self {
             linear,
             moments,
@@ -112,8 +111,8 @@ impl<'a> ExtensionTests<'a> {
                 3 * residual.len(),
                 residual.iter().flatten().copied(),
             ),
-            base: design(linear, &columns),
-            precision,
+            base: design(linear, base.iter().map(|(column, _)| *column)),
+            precision: base.iter().map(|(_, precision)| *precision).collect(),
             base_products: Products::zeros(0, 0),
             robust_weights: residual
                 .iter()
@@ -166,7 +165,7 @@ impl<'a> ExtensionTests<'a> {
         let (first, last) = self.span()?;
         let side_s = MIN_SIDE_SHARE * (last - first);
         let fit = self.base_fit(self.variance)?;
-        let design = design(self.linear, &Vec::from_iter(columns.clone()));
+        let design = design(self.linear, columns.clone());
         // Products of the samples from each one on.
         let samples = self.moments.len();
         let mut from = vec![Products::zeros(self.base.ncols(), columns.len()); samples + 1];
@@ -211,7 +210,7 @@ impl<'a> ExtensionTests<'a> {
     fn decay(&self, columns: Range<usize>, size: f64) -> Option<(f64, Profile)> {
         let (first_s, last_s) = self.span()?;
         let fit = self.base_fit(self.variance)?;
-        let design = design(self.linear, &Vec::from_iter(columns.clone()));
+        let design = design(self.linear, columns.clone());
         let samples = self.moments.len();
         // Time since the start and products of each of `count` pieces.
         let pieces = |count: usize| -> Vec<(f64, Products)> {
@@ -367,7 +366,7 @@ impl<'a> ExtensionTests<'a> {
     ) -> Extension {
         /// Share of the columns' squares in a component that they change.
         const MIN_SHARE: f64 = 1e-3;
-        let columns = design(self.linear, &Vec::from_iter(columns));
+        let columns = design(self.linear, columns);
         let squares = [0, 1, 2]
             .map(|axis| columns.rows_with_step(axis, self.moments.len(), 2).norm_squared());
         let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
@@ -406,7 +405,8 @@ impl<'a> ExtensionTests<'a> {
 }
 
 /// Columns of the design.
-fn design(linear: &Linear, columns: &[usize]) -> DMatrix<f64> {
+fn design(linear: &Linear, columns: impl IntoIterator<Item = usize>) -> DMatrix<f64> {
+    let columns = Vec::from_iter(columns);
     DMatrix::from_fn(3 * linear.len(), columns.len(), |row, at| {
         linear.row(row / 3, row % 3)[columns[at]]
     })

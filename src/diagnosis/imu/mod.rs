@@ -120,10 +120,8 @@ pub(super) fn diagnose_converted_imu(
         found.drop_latency(&NotObservable::Periodic(lags));
     }
     // Stamp errors of the clock alignment at both ends simulate a skew.
-    let span_s = match stream.track.t_s.as_slice() {
-        [first, .., last] => last - first,
-        _ => 0.0,
-    };
+    let t_s = &stream.track.t_s;
+    let span_s = t_s.last().unwrap_or(&0.0) - t_s.first().unwrap_or(&0.0);
     let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
     ImuDiagnosis {
         latency_s: found.latency_s.map(|it| it.with_error(stream.stamp_error_s)),
@@ -312,14 +310,10 @@ struct LinkBuffers<'a> {
 impl<'a> Link<'a> {
     fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuConventions) -> Self {
         let t_s = &stream.track.t_s;
-        let middle_s = match (t_s.first(), t_s.last()) {
-            (Some(first), Some(last)) => 0.5 * (first + last),
-            _ => 0.0,
-        };
+        let middle_s = 0.5 * (t_s.first().unwrap_or(&0.0) + t_s.last().unwrap_or(&0.0));
         let rest_speeds = rest_speeds(joints);
-        let joint_noise =
-            stream.columns.iter().map(|&column| joint_noise(joints, column, &rest_speeds));
-        let joint_noise = joint_noise.collect();
+        let noise = |&column: &usize| joint_noise(joints, column, &rest_speeds);
+        let joint_noise = stream.columns.iter().map(noise).collect();
         Self { joints, stream, numbers, rest_speeds, joint_noise, middle_s }
     }
 
