@@ -218,20 +218,18 @@ impl OrientationModel<'_> {
                     });
                 }
                 Profile::Heading { axis } => {
-                    let values = DVector::from_column_slice(&effect.values);
-                    let error = |Moment { t_s, world_from_imu }: &Moment| {
-                        let weights = effect.profile.weights(*t_s, world_from_imu);
-                        let weights = DVector::from_vec(weights);
-                        (weights.dot(&values), weights)
+                    let weights = |Moment { t_s, world_from_imu }: &Moment| {
+                        DVector::from_vec(effect.profile.weights(*t_s, world_from_imu))
                     };
-                    let errors: Vec<(f64, DVector<f64>)> =
-                        self.linearize().moments.iter().map(error).collect();
-                    let min = errors.iter().min_by(|a, b| a.0.total_cmp(&b.0));
-                    let max = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0));
-                    profile.heading = min.zip(max).and_then(|(min, max)| {
-                        let columns = effect.columns.clone();
-                        let along = 0.5 * (&max.1 - &min.1);
-                        let half = 0.5 * (max.0 - min.0);
+                    let all: Vec<DVector<f64>> =
+                        self.linearize().moments.iter().map(weights).collect();
+                    let values = DVector::from_column_slice(&effect.values);
+                    let error = |weights: &&DVector<f64>| weights.dot(&values);
+                    let min = all.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
+                    let max = all.iter().max_by(|a, b| error(a).total_cmp(&error(b)));
+                    let along = min.zip(max).map(|(min, max)| 0.5 * (max - min));
+                    profile.heading = along.and_then(|along| {
+                        let (columns, half) = (effect.columns.clone(), along.dot(&values));
                         let amplitude_rad =
                             solved.measure_combination(columns, along.as_slice(), half).ok()?;
                         Some(HeadingError { amplitude_rad, axis })
