@@ -22,7 +22,7 @@ pub(super) trait Model: Clone {
     /// Linearises at the current parameters, with all random effects at zero.
     fn linearize(&self) -> Linearization;
 
-    /// Adds one entry per column of the design to the model's own parameters.
+    /// Adds a step, with one entry per column of the design, to the model's own parameters.
     fn apply(&mut self, delta: &[f64]);
 
     /// Columns to fit besides the delay and the effects.
@@ -33,6 +33,7 @@ pub(super) trait Model: Clone {
         0..0
     }
 
+    /// Columns of the block's constant parameters.
     fn columns_of(block: Block) -> Range<usize>;
 
     /// Columns that are fitted while effects are tested, with the precision of their prior about zero.
@@ -41,8 +42,8 @@ pub(super) trait Model: Clone {
     /// Columns with a normal prior about zero. They are always fitted.
     fn priors(&self) -> Vec<Prior>;
 
-    /// Whether the fit kept the mount as logged, so that it is not free.
-    fn keeps_mount(&mut self, _: &Solved) -> bool {
+    /// Sets the mount to the logged one if the fitted one does not differ significantly. Returns whether it did.
+    fn restores_logged_mount(&mut self, _: &Solved) -> bool {
         false
     }
 
@@ -64,7 +65,7 @@ pub(super) trait Model: Clone {
             delay.skew = 0.0;
             free.retain(|&column| column != CommonParameters::SKEW);
         }
-        if self.keeps_mount(&solved) {
+        if self.restores_logged_mount(&solved) {
             free.retain(|column| !CommonParameters::MOUNT.contains(column));
         }
         if free.len() < all {
@@ -88,6 +89,7 @@ pub(super) struct CommonParameters {
     /// Mount before a slip.
     pub link_from_imu: Rotation,
     pub effects: Effects,
+    /// Whether the IMU follows the arm, so that its delay is observable.
     pub moves: bool,
     /// Before it is omitted.
     pub skew: EstimateResult<Measured>,

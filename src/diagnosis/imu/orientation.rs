@@ -383,7 +383,7 @@ impl Model for OrientationModel<'_> {
         CommonParameters::MOUNT.chain(Self::WORLD).chain([Self::DRIFT]).collect()
     }
 
-    fn keeps_mount(&mut self, solved: &Solved) -> bool {
+    fn restores_logged_mount(&mut self, solved: &Solved) -> bool {
         self.mount_rad = self.mount(solved);
         let is_wrong =
             self.mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
