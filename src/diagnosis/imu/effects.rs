@@ -343,7 +343,6 @@ mod tests {
                     residual: error - Vec3::z() * fitted,
                     by_latency: None,
                     since_middle_s: since_s,
-                    mount: Rotation::identity(),
                     by_mount: [Vec3::zeros(); 3],
                     by_own: &[Vec3::z(), Vec3::z() * since_s],
                     by_other_block: &[Vec3::z()],

@@ -436,7 +436,6 @@ impl Model for GyroModel<'_> {
                 residual: residual * per_s,
                 by_latency: moving.then(|| -rate_difference * per_s),
                 since_middle_s,
-                mount,
                 by_mount: units.map(|unit| (unit - last_from_first * unit) * per_s),
                 by_own: &[&by_bias[..], &by_scale_error].concat(),
                 by_other_block: &by_bias,

@@ -203,7 +203,6 @@ pub(super) struct Sample<'a> {
     pub by_latency: Option<Vec3>,
     /// Time for the skew, from the middle of the run.
     pub since_middle_s: f64,
-    pub mount: Rotation,
     /// By rotations about the axes of the IMU.
     pub by_mount: [Vec3; 3],
     /// By the model's own parameters, in the order of their columns.
@@ -227,13 +226,14 @@ impl Linearization {
             rows.set(0, CommonParameters::LATENCY, later);
             rows.set(0, CommonParameters::SKEW, later * sample.since_middle_s);
         }
+        let Moment { t_s, world_from_imu } = &sample.moment;
         // The mount is applied before the slip.
-        let before_slip = (sample.mount.inverse() * common.link_from_imu).to_rotation_matrix();
+        let before_slip = common.mount_at(*t_s).inverse() * common.link_from_imu;
+        let before_slip = before_slip.to_rotation_matrix();
         let by_mount = Matrix3::from_columns(&sample.by_mount) * before_slip.matrix();
         let columns = by_mount.column_iter().map(|column| column.into_owned());
         rows.set_from(CommonParameters::MOUNT.start, columns);
         rows.set_from(CommonParameters::WIDTH, sample.by_own.iter().copied());
-        let Moment { t_s, world_from_imu } = &sample.moment;
         let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
         common.effects.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
         self.moments.push(sample.moment);

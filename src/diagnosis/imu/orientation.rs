@@ -341,8 +341,8 @@ impl Model for OrientationModel<'_> {
         for &(t_s, truth) in &self.samples {
             let truth_s = common.delay.truth_s(t_s);
             let Some(state) = self.link.at(truth_s, &mut buffers) else { continue };
-            let (mount, since_middle_s) = (common.mount_at(t_s), t_s - common.delay.middle_s);
-            let base_from_imu = state.rotation * mount;
+            let since_middle_s = t_s - common.delay.middle_s;
+            let base_from_imu = state.rotation * common.mount_at(t_s);
             linearization.add_mount_noise(common, t_s, &base_from_imu, &state.rotation_noise);
             if state.moving {
                 linearization.add_delay_noise(since_middle_s, state.rate_noise);
@@ -363,7 +363,6 @@ impl Model for OrientationModel<'_> {
                 residual: rotvec_from_rotation(&(truth * predicted.inverse())),
                 by_latency: state.moving.then(|| -(world * state.rate)),
                 since_middle_s,
-                mount,
                 by_mount: units.map(|unit| predicted * unit),
                 by_own: &by_own,
                 by_other_block: &[Vec3::z()],
