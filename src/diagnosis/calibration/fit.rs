@@ -1,7 +1,7 @@
 //! Gauss–Newton from the nominal model to the maximum of the posterior.
 
 use super::parameters::CalibrationParameters;
-use super::system::{CalibrationState, CalibrationSystem, LinearizedStream, StreamSource};
+use super::system::{CalibrationState, CalibrationSystem, FOLDS, LinearizedStream};
 use super::undetermined::undetermined_directions;
 use super::workspace::TipSensitivity;
 use super::{
@@ -9,6 +9,8 @@ use super::{
     PointDistance, StreamCalibration,
 };
 use crate::Measured;
+use crate::model::measurement::StreamState;
+use crate::samples::sampling::value_range;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::solver::linear::Normal;
 use ground::geometry::Vec3;
@@ -31,9 +33,9 @@ pub fn calibrate_arm(
     zeros: &[usize],
     distances: &[PointDistance],
 ) -> Result<ArmCalibration, CalibrationFailure> {
-    let paths: Option<Vec<LinkPath>> =
-        streams.iter().map(|stream| robot.link_path(stream.base, stream.tip)).collect();
-    let paths = paths.ok_or(CalibrationFailure::Chain)?;
+    let path_of = |stream: &CalibrationStream| robot.link_path(stream.base, stream.tip);
+    let paths: Vec<LinkPath> =
+        streams.iter().map(path_of).collect::<Option<_>>().ok_or(CalibrationFailure::Chain)?;
     let ends = paths.first().zip(streams.first());
     let (path, first) = ends.ok_or(CalibrationFailure::TooFewSamples)?;
     if paths.iter().any(|other| other.links != path.links) {
@@ -41,16 +43,16 @@ pub fn calibrate_arm(
     }
     let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let parameters = CalibrationParameters::new(path, &chain, streams, &paths, zeros.to_vec());
-    let sources: Vec<StreamSource> = streams
-        .iter()
-        .enumerate()
-        .map(|(s, stream)| StreamSource::new(stream, parameters.columns_of(s)))
-        .collect();
-    let (parameters, sources) = (&parameters, sources.as_slice());
-    let system = CalibrationSystem { robot, path, parameters, sources, distances };
+    let columns = (0..streams.len()).map(|s| parameters.columns_of(s)).collect();
+    let system = CalibrationSystem { robot, path, parameters, streams, columns, distances };
+    let parameters = &system.parameters;
+    let initial =
+        |&CalibrationStream { latency_s, skew, reference, tool, .. }: &CalibrationStream| {
+            StreamState { skew, reference, tool, ..StreamState::at_latency(latency_s) }
+        };
     let mut state = CalibrationState {
         values: DVector::zeros(parameters.width),
-        streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
+        streams: streams.iter().map(initial).collect(),
     };
     let mut linearized = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
     let before = system.nominal_residuals(&linearized, &state);
@@ -61,9 +63,7 @@ pub fn calibrate_arm(
         [link_m, max_link_m] = system.link_sizes_m(&normal, &state);
         let (step, cholesky) =
             system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
-        let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
-            / parameters.width as f64)
-            .sqrt();
+        let moved = cholesky.l().tr_mul(&step).norm() / (parameters.width as f64).sqrt();
         if !step.iter().all(|value| value.is_finite()) {
             return Err(CalibrationFailure::Diverges);
         }
@@ -77,41 +77,43 @@ pub fn calibrate_arm(
     }
     let normal = system.normal(&linearized, &state);
     let (_, cholesky) = system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
-    let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
     // A fit absorbs noise: residuals shrink by the share of fitted degrees of freedom, scores by its square
     // (MacKinnon and White 1985, HC3, on average).
     let fitted = (&inverse * &normal.matrix).trace();
-    let fitted_share = fitted_share(&inverse, &normal);
-    let scores = system.scores(&linearized, &state) / (1.0 - fitted_share).powi(2);
-    let before_log = DMatrix::from_diagonal(&DVector::from_vec(prior));
-    let covariance = &inverse * (scores + before_log) * &inverse;
-    let held_out = system.held_out(&linearized, &state, link_m);
+    let scores =
+        system.scores(&linearized, &state) / (1.0 - fitted_share(&inverse, &normal)).powi(2);
+    let prior = DMatrix::from_diagonal(&DVector::from_vec(parameters.prior(link_m)));
+    let covariance = &inverse * (scores + prior) * &inverse;
+    // Fits all parameters to the other folds.
+    let held_out = system.cross_validated(&linearized, &state, |training| {
+        let step = system.step(training, &state, link_m);
+        step.map_or_else(|| DVector::zeros(parameters.width), |(step, _)| step)
+    });
     let dof = (normal.independent - fitted).max(3.0);
-    let calibrated = system.robot_at(&state);
     let workspace = TipSensitivity::new(&system, &state);
     let shared = parameters.shared();
-    let reports = (0..sources.len()).map(|s| {
-        let own = &parameters.streams[s];
+    let reports = streams.iter().enumerate().map(|(s, stream)| {
+        let [reference, tool, latency] = &parameters.streams[s];
         let LinearizedStream { linear, weights } = &linearized[s];
-        let (latency_s, reference, tool) = state.streams[s];
+        let StreamState { latency_s: value, .. } = state.streams[s];
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
             samples: linear.len(),
-            latency_s: own.latency.map(|at| Measured {
-                value: latency_s,
+            latency_s: latency.clone().next().map(|at| Measured {
+                value,
                 std_error: std_error(at),
                 dof,
             }),
-            reference: (!own.reference.is_empty()).then_some(reference),
-            tool: (!own.tool.is_empty()).then_some(tool),
+            reference: (!reference.is_empty()).then_some(state.streams[s].reference),
+            tool: (!tool.is_empty()).then_some(state.streams[s].tool),
             before: before[s].0,
             after: rms_residual(std::slice::from_ref(&linear.residual)),
             held_out_before: before[s].1,
             held_out_after: held_out[s],
             noise: [0, 1].map(|kind| weights[kind].noise.sigma),
             inflation: [0, 1].map(|kind| weights[kind].noise.inflation()),
-            spans: sources[s].spans(),
+            spans: spans(stream),
             errors_m: linear.residual[0].iter().map(Vec3::norm).collect(),
         }
     });
@@ -126,7 +128,7 @@ pub fn calibrate_arm(
         undetermined: undetermined_directions(&normal.matrix, parameters, link_m, &workspace),
         calibrated_uncertainty: workspace.uncertainty(&shared_covariance),
         nominal_uncertainty: workspace.uncertainty(&parameters.nominal_covariance(link_m)),
-        robot: calibrated,
+        robot: system.robot_with(&state, &system.zeros(&state)),
         parameters: parameters.links.clone(),
         zeros: parameters.zeros.clone(),
         values: state.values.iter().take(shared).copied().collect(),
@@ -163,25 +165,18 @@ impl CalibrationSystem<'_> {
         let own = self.own_parameters();
         let fitted = |normal: &Normal| normal.step_from_zero(&own);
         let all_free = fitted(&self.sample_normal(linearized));
-        let folds = self.cross_validated(linearized, state, fitted);
-        let residual = |(source, stream): (&StreamSource, &LinearizedStream)| {
-            rms_residual(&[stream.linear.residuals_after((&source.columns * &all_free).as_slice())])
-        };
-        self.sources.iter().zip(linearized).map(residual).zip(folds).collect()
+        let of_all = self.residuals_after(linearized, &all_free).map(|all| rms_residual(&[all]));
+        of_all.zip(self.cross_validated(linearized, state, fitted)).collect()
     }
 
-    /// Fits all parameters to the other folds.
-    fn held_out(
+    /// Residuals of each stream after a step, by kind.
+    fn residuals_after(
         &self,
         linearized: &[LinearizedStream],
-        state: &CalibrationState,
-        link_m: f64,
-    ) -> Vec<CalibrationResidual> {
-        let of = |training: &Normal| match self.step(training, state, link_m) {
-            Some((step, _)) => step,
-            None => DVector::zeros(self.parameters.width),
-        };
-        self.cross_validated(linearized, state, of)
+        step: &DVector<f64>,
+    ) -> impl Iterator<Item = Vec<Vec<Vec3>>> {
+        let own = self.columns.iter().map(move |columns| columns * step);
+        linearized.iter().zip(own).map(|(it, own)| it.linear.residuals_after(own.as_slice()))
     }
 
     /// Each fold is predicted by a step from the others' equations. Frames that only a held-out group has are
@@ -193,24 +188,25 @@ impl CalibrationSystem<'_> {
         step: impl Fn(&Normal) -> DVector<f64>,
     ) -> Vec<CalibrationResidual> {
         let all_data = self.normal(linearized, state);
-        let (folds, by_group) = self.folds();
+        let groups = self.held_out_groups();
         let mut all: Vec<Vec<_>> = linearized.iter().map(|_| Vec::new()).collect();
-        for fold in 0..folds {
-            let held_out_parts = self.fold(linearized, fold);
-            let mut held_out = self.sample_normal(&held_out_parts);
+        for fold in 0..groups.as_ref().map_or(FOLDS, Vec::len) {
+            let group = groups.as_ref().map(|groups| groups[fold]);
+            let part = self.held_out_part(linearized, fold, group);
+            let mut held_out = self.sample_normal(&part);
             let mut training = Normal::zeros(self.parameters.width);
             training.matrix = &all_data.matrix - &held_out.matrix;
             training.right = &all_data.right - &held_out.right;
             let mut step = step(&training);
-            if by_group {
-                let unseen = self.parameters_only_in(&held_out_parts, linearized);
+            if group.is_some() {
+                let unseen = self.own_parameters_of_group(group);
                 unseen.iter().for_each(|&parameter| step[parameter] = 0.0);
                 held_out.right -= &held_out.matrix * &step;
                 step += held_out.step_from_zero(&unseen);
             }
-            for ((all, part), source) in all.iter_mut().zip(&held_out_parts).zip(self.sources) {
-                all.push(part.linear.residuals_after((&source.columns * &step).as_slice()));
-            }
+            all.iter_mut()
+                .zip(self.residuals_after(&part, &step))
+                .for_each(|(all, it)| all.push(it));
         }
         all.iter().map(|folds| rms_residual(folds)).collect()
     }
@@ -219,32 +215,23 @@ impl CalibrationSystem<'_> {
         (self.parameters.shared()..self.parameters.width).collect()
     }
 
-    /// Streams' own parameters that no sample outside `part` depends on.
-    fn parameters_only_in(
-        &self,
-        part: &[LinearizedStream],
-        all: &[LinearizedStream],
-    ) -> Vec<usize> {
-        let is_elsewhere = |parameter: usize| {
-            part.iter().zip(all).enumerate().any(|(s, (part, all))| {
-                let own = &self.parameters.streams[s];
-                part.linear.len() < all.linear.len()
-                    && (own.reference.contains(&parameter)
-                        || own.tool.contains(&parameter)
-                        || own.latency == Some(parameter))
-            })
-        };
-        self.own_parameters().into_iter().filter(|&parameter| !is_elsewhere(parameter)).collect()
+    /// Own parameters that no stream outside the group has.
+    fn own_parameters_of_group(&self, group: Option<usize>) -> Vec<usize> {
+        let others = self.streams.iter().zip(&self.parameters.streams);
+        let others = others.filter(|(stream, _)| stream.held_out_group != group);
+        let elsewhere: Vec<_> = others.flat_map(|(_, own)| own).collect();
+        let mut parameters = self.own_parameters();
+        parameters.retain(|parameter| !elsewhere.iter().any(|own| own.contains(parameter)));
+        parameters
     }
 
     /// Fits free positions with nominal links, whose initial values are only guesses.
     fn start(&self, state: &mut CalibrationState) -> Option<Vec<LinearizedStream>> {
-        let is_position = |frame| matches!(frame, FrameFreedom::Position(_));
-        let has_positions = self.sources.iter().any(|source| {
-            is_position(source.stream.reference_freedom) || is_position(source.stream.tool_freedom)
-        });
+        let freedoms = self.streams.iter().flat_map(|it| [it.reference_freedom, it.tool_freedom]);
+        let mut positions = freedoms.filter(|frame| matches!(frame, FrameFreedom::Position(_)));
+        let rounds = if positions.next().is_some() { START_ROUNDS } else { 0 };
         let mut linearized = self.linearize(state, None)?;
-        for _ in (0..START_ROUNDS).filter(|_| has_positions) {
+        for _ in 0..rounds {
             let step = self.sample_normal(&linearized).step_from_zero(&self.own_parameters());
             self.advance(state, &step);
             linearized = self.linearize(state, Some(0.0))?;
@@ -256,4 +243,14 @@ impl CalibrationSystem<'_> {
         let between = |[a, b]: [usize; 2]| (self.point(a, state) - self.point(b, state)).norm();
         self.distances.iter().map(|distance| between(distance.streams)).collect()
     }
+}
+
+/// Range per joint of the chain while poses are available.
+fn spans(stream: &CalibrationStream) -> Vec<f64> {
+    let CalibrationStream { joints, t_s, .. } = stream;
+    let (Some(first_s), Some(last_s)) = (t_s.first(), t_s.last()) else { return Vec::new() };
+    let is_covered = |&row: &usize| (*first_s..=*last_s).contains(&joints.t_s[row]);
+    let rows = || (0..joints.len()).filter(is_covered);
+    let span = |&column: &usize| value_range(rows().map(|row| joints.row(row)[column])).max(0.0);
+    stream.columns.iter().map(span).collect()
 }

@@ -23,18 +23,12 @@ pub(super) struct CalibrationParameters {
     pub zeros: Vec<usize>,
     pub width: usize,
     joints: usize,
-    pub streams: Vec<StreamParameters>,
+    /// Indices of each stream's own parameters of reference, tool and latency. A known one has none, a position
+    /// three, a pose six.
+    pub streams: Vec<[Range<usize>; 3]>,
     base_from_first: Vec<Pose>,
     /// Derivative of the arm's scale, relative to its nominal size, by each parameter.
     pub scale: DVector<f64>,
-}
-
-/// Indices of a stream's own parameters: 0 for a known frame, 3 for a position, 6 for a pose.
-#[derive(Clone)]
-pub(super) struct StreamParameters {
-    pub reference: Range<usize>,
-    pub tool: Range<usize>,
-    pub latency: Option<usize>,
 }
 
 impl CalibrationParameters {
@@ -67,17 +61,15 @@ impl CalibrationParameters {
             if !is_seen || !path.can_deviate(link) {
                 continue;
             }
-            for turns in [false, true] {
-                for direction in distinguishable_axes(path, link, turns) {
-                    if turns && is_zero(link, &direction) {
-                        continue;
-                    }
-                    links.push(LinkParameter {
-                        link,
-                        is_rotation: turns,
-                        direction: direction.into(),
-                    });
-                }
+            for is_rotation in [false, true] {
+                let mut directions = distinguishable_axes(path, link, is_rotation);
+                directions.retain(|direction| !(is_rotation && is_zero(link, direction)));
+                let parameter = |direction: Vec3| LinkParameter {
+                    link,
+                    is_rotation,
+                    direction: direction.into(),
+                };
+                links.extend(directions.into_iter().map(parameter));
             }
         }
         let mut next = links.len() + zeros.len();
@@ -94,8 +86,7 @@ impl CalibrationParameters {
             };
             let reference = range(&mut references, stream.reference_freedom);
             let tool = range(&mut own_tools, tool);
-            let latency = stream.latency_is_free.then(|| allocate(1).start);
-            own.push(StreamParameters { reference, tool, latency });
+            own.push([reference, tool, allocate(usize::from(stream.latency_is_free))]);
         }
         let base_from_first = paths.iter().map(|path| path.base_from_first).collect();
         // A uniform scale lengthens each link along its nominal length.
@@ -137,51 +128,44 @@ impl CalibrationParameters {
     /// Maps parameters to columns of `nominal_model::link_frames`: reference, each joint's child
     /// link, latency, zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
-        let own = &self.streams[stream];
-        let [reference, tool] = [&own.reference, &own.tool].map(|frame| !frame.is_empty());
+        let [reference, tool, latency] = &self.streams[stream];
+        let are_free = [reference, tool].map(|frame| !frame.is_empty());
         let mut columns =
-            self.shared_columns(stream, reference, tool).resize_horizontally(self.width, 0.0);
-        for (link, frame) in [(0, &own.reference), (self.joints, &own.tool)] {
-            for (axis, parameter) in frame.clone().enumerate() {
-                columns[(6 * link + axis, parameter)] = 1.0;
+            self.shared_columns(stream, are_free).resize_horizontally(self.width, 0.0);
+        let latency_row = 6 * (self.joints + 1);
+        for (row, own) in [(0, reference), (6 * self.joints, tool), (latency_row, latency)] {
+            for (axis, parameter) in own.clone().enumerate() {
+                columns[(row + axis, parameter)] = 1.0;
             }
-        }
-        if let Some(latency) = own.latency {
-            columns[(6 * (self.joints + 1), latency)] = 1.0;
         }
         columns
     }
 
-    /// Maps the shared parameters.
+    /// Maps the shared parameters of a stream, whose own reference and tool may be free.
     pub fn shared_columns(
         &self,
         stream: usize,
-        reference_is_free: bool,
-        tool_is_free: bool,
+        [is_reference_free, is_tool_free]: [bool; 2],
     ) -> DMatrix<f64> {
         let latency = 6 * (self.joints + 1);
         let mut columns = DMatrix::zeros(latency + 1 + self.joints, self.shared());
         for (at, one) in self.links.iter().enumerate() {
+            if (one.link == 0 && is_reference_free) || (one.link == self.joints && is_tool_free) {
+                continue;
+            }
             let direction = Vec3::from(one.direction);
-            let (shift, turn) = match one.is_rotation {
+            let (mut shift, mut turn) = match one.is_rotation {
                 true => (Vec3::zeros(), direction),
                 false => (direction, Vec3::zeros()),
             };
-            let (shift, turn) = match one.link {
-                0 if reference_is_free => continue,
-                0 => {
-                    // Transform to the stream's reference, where the columns are derivatives.
-                    let frame = &self.base_from_first[stream];
-                    let turn = frame.rotation * turn;
-                    (frame.rotation * shift + frame.translation.vector.cross(&turn), turn)
-                }
-                link if link == self.joints && tool_is_free => continue,
-                _ => (shift, turn),
-            };
-            for axis in 0..3 {
-                columns[(6 * one.link + axis, at)] = shift[axis];
-                columns[(6 * one.link + 3 + axis, at)] = turn[axis];
+            if one.link == 0 {
+                // Transform to the stream's reference, where the columns are derivatives.
+                let frame = &self.base_from_first[stream];
+                turn = frame.rotation * turn;
+                shift = frame.rotation * shift + frame.translation.vector.cross(&turn);
             }
+            columns.fixed_view_mut::<3, 1>(6 * one.link, at).copy_from(&shift);
+            columns.fixed_view_mut::<3, 1>(6 * one.link + 3, at).copy_from(&turn);
         }
         for (at, &joint) in self.zeros.iter().enumerate() {
             columns[(latency + 1 + joint, self.links.len() + at)] = 1.0;

@@ -3,7 +3,6 @@
 use super::parameters::CalibrationParameters;
 use super::{CalibrationStream, FrameFreedom, PointDistance};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, pose_of_twist};
-use crate::samples::sampling::range_of;
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal, Weight};
@@ -19,12 +18,10 @@ const MAX_SAMPLES: usize = 20_000;
 const BLOCKS: usize = 50;
 pub(super) const FOLDS: usize = 5;
 
-#[derive(Clone)]
 pub(super) struct CalibrationState {
-    /// Those of streams are relative to their initial values.
     pub values: DVector<f64>,
-    /// Latency, reference and tool.
-    pub streams: Vec<(f64, Pose, Pose)>,
+    /// Streams' own parameters are relative to the initial state.
+    pub streams: Vec<StreamState>,
 }
 
 pub(super) struct LinearizedStream {
@@ -32,83 +29,25 @@ pub(super) struct LinearizedStream {
     pub weights: Vec<Weight>,
 }
 
-impl LinearizedStream {
-    /// Every fifth block, starting at `fold`.
-    fn blocks(&self, fold: usize) -> Vec<usize> {
-        let stretch = self.linear.len().div_ceil(BLOCKS).max(1);
-        (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
-    }
-
-    fn part(&self, samples: &[usize]) -> Self {
-        let weights = self.weights.iter().map(|weight| weight.subset(samples)).collect();
-        Self { linear: self.linear.subset(samples), weights }
-    }
-}
-
-pub(super) struct StreamSource<'a> {
-    pub stream: &'a CalibrationStream<'a>,
-    stride: usize,
-    pub columns: DMatrix<f64>,
-    rest_speeds: Vec<f64>,
-}
-
-impl<'a> StreamSource<'a> {
-    pub fn new(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
-        let stride = stream.t_s.len().div_ceil(MAX_SAMPLES).max(1);
-        Self { stream, stride, columns, rest_speeds: vec![0.0; stream.joints.dof] }
-    }
-
-    /// Per joint of the chain while poses are available.
-    pub fn spans(&self) -> Vec<f64> {
-        let t_s = &self.stream.t_s;
-        let (Some(first), Some(last)) = (t_s.first(), t_s.last()) else { return Vec::new() };
-        let joints = self.stream.joints;
-        let span = |&column: &usize| {
-            let rows = (0..joints.len()).filter(|&row| (*first..=*last).contains(&joints.t_s[row]));
-            let range = rows.map(|row| joints.row(row)[column]);
-            let [low, high] = range_of(range);
-            (high - low).max(0.0)
-        };
-        self.stream.columns.iter().map(span).collect()
-    }
-
-    pub(super) fn observations<'b>(&'b self, chain: &'b Chain) -> PoseObservations<'b> {
-        let stream = self.stream;
-        PoseObservations {
-            reference_known: stream.reference_freedom == FrameFreedom::Known,
-            excluded: ExcludedComponents {
-                position: stream.excluded,
-                rotation: stream.is_rotation_excluded,
-            },
-            ..PoseObservations::new(
-                stream.joints, chain, &stream.columns, &self.rest_speeds, &stream.t_s,
-                &stream.poses,
-            )
-        }
-    }
-}
-
 pub(super) struct CalibrationSystem<'a> {
     pub robot: &'a Robot,
     pub path: &'a LinkPath,
-    pub parameters: &'a CalibrationParameters,
-    pub sources: &'a [StreamSource<'a>],
+    pub parameters: CalibrationParameters,
+    pub streams: &'a [CalibrationStream<'a>],
+    /// [`CalibrationParameters::columns_of`] each stream.
+    pub columns: Vec<DMatrix<f64>>,
     pub distances: &'a [PointDistance],
 }
 
 impl CalibrationSystem<'_> {
     /// Robot with link deviations and these zeros.
-    fn robot_with(&self, state: &CalibrationState, zeros: &[f64]) -> Robot {
+    pub fn robot_with(&self, state: &CalibrationState, zeros: &[f64]) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.with_deviations(self.path, &deviations, zeros)
     }
 
-    pub fn robot_at(&self, state: &CalibrationState) -> Robot {
-        self.robot_with(state, &self.zeros(state))
-    }
-
-    fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
+    pub fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {
             zeros[joint] = state.values[self.parameters.links.len() + at];
@@ -118,7 +57,7 @@ impl CalibrationSystem<'_> {
 
     /// Chain with the link deviations of `state`.
     pub fn chain(&self, s: usize, state: &CalibrationState) -> Option<Chain> {
-        let stream = self.sources[s].stream;
+        let stream = &self.streams[s];
         self.robot_with(state, &[]).chain(stream.base, stream.tip).ok()
     }
 
@@ -130,18 +69,27 @@ impl CalibrationSystem<'_> {
     ) -> Option<Vec<LinearizedStream>> {
         let robot = self.robot_with(state, &[]);
         let zeros = self.zeros(state);
-        let of_stream = |(s, source): (usize, &StreamSource)| {
-            let stream = source.stream;
+        let of_stream = |(stream, stream_state): (&CalibrationStream, &StreamState)| {
             let chain = robot.chain(stream.base, stream.tip).ok()?;
-            let observations = source.observations(&chain);
-            let stream_state = self.stream_state(s, state);
-            let mut offsets = vec![0.0; stream.joints.dof];
-            for (&column, zero) in stream.columns.iter().zip(&zeros) {
+            let (joints, columns) = (stream.joints, &stream.columns);
+            let at_rest = vec![0.0; joints.dof];
+            let observations = PoseObservations {
+                reference_known: stream.reference_freedom == FrameFreedom::Known,
+                excluded: ExcludedComponents {
+                    position: stream.excluded,
+                    rotation: stream.is_rotation_excluded,
+                },
+                ..PoseObservations::new(
+                    joints, &chain, columns, &at_rest, &stream.t_s, &stream.poses,
+                )
+            };
+            let mut offsets = vec![0.0; joints.dof];
+            for (&column, zero) in columns.iter().zip(&zeros) {
                 offsets[column] = *zero;
             }
-            let rows = (0..observations.len()).step_by(source.stride);
+            let rows = observations.rows(MAX_SAMPLES);
             let linear =
-                link_frames(observations.at(&stream_state, &offsets), rows, FreeAlongside::Zeros);
+                link_frames(observations.at(stream_state, &offsets), rows, FreeAlongside::Zeros);
             if linear.len() < FOLDS {
                 return None;
             }
@@ -155,38 +103,37 @@ impl CalibrationSystem<'_> {
             };
             Some(LinearizedStream { linear, weights })
         };
-        self.sources.iter().enumerate().map(of_stream).collect()
+        self.streams.iter().zip(&state.streams).map(of_stream).collect()
     }
 
-    fn stream_state(&self, s: usize, state: &CalibrationState) -> StreamState {
-        let (latency_s, reference, tool) = state.streams[s];
-        let skew = self.sources[s].stream.skew;
-        StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
+    /// Groups of streams that are held out together, if there are several.
+    pub fn held_out_groups(&self) -> Option<Vec<usize>> {
+        let groups = self.streams.iter().map(|stream| stream.held_out_group);
+        let groups: BTreeSet<usize> = groups.collect::<Option<_>>()?;
+        (groups.len() > 1).then(|| groups.into_iter().collect())
     }
 
-    /// Number of folds of a cross-validation, and whether they are the groups of streams.
-    pub fn folds(&self) -> (usize, bool) {
-        let groups = self.sources.iter().map(|source| source.stream.held_out_group);
-        match groups.collect::<Option<BTreeSet<usize>>>() {
-            Some(groups) if groups.len() > 1 => (groups.len(), true),
-            _ => (FOLDS, false),
-        }
-    }
-
-    pub fn fold(&self, linearized: &[LinearizedStream], fold: usize) -> Vec<LinearizedStream> {
-        let groups: BTreeSet<Option<usize>> =
-            self.sources.iter().map(|source| source.stream.held_out_group).collect();
-        let (_, by_group) = self.folds();
-        let group = groups.into_iter().nth(fold).flatten();
-        let of = |(source, stream): (&StreamSource, &LinearizedStream)| {
-            let is_held_out = source.stream.held_out_group == group;
-            let samples = match by_group {
-                false => stream.blocks(fold),
-                true => (0..stream.linear.len()).filter(|_| is_held_out).collect(),
+    /// Samples held out in a fold: streams of `group`, or else every fifth block.
+    pub fn held_out_part(
+        &self,
+        linearized: &[LinearizedStream],
+        fold: usize,
+        group: Option<usize>,
+    ) -> Vec<LinearizedStream> {
+        let of = |(stream, LinearizedStream { linear, weights }): (
+            &CalibrationStream,
+            &LinearizedStream,
+        )| {
+            let stretch = linear.len().div_ceil(BLOCKS).max(1);
+            let is_held_out = |sample: &usize| match group {
+                Some(_) => stream.held_out_group == group,
+                None => (sample / stretch) % FOLDS == fold,
             };
-            stream.part(&samples)
+            let samples: Vec<usize> = (0..linear.len()).filter(is_held_out).collect();
+            let weights = weights.iter().map(|weight| weight.subset(&samples)).collect();
+            LinearizedStream { linear: linear.subset(&samples), weights }
         };
-        self.sources.iter().zip(linearized).map(of).collect()
+        self.streams.iter().zip(linearized).map(of).collect()
     }
 
     /// Equations of all samples and distances.
@@ -200,7 +147,7 @@ impl CalibrationSystem<'_> {
 
     /// Point of a stream in the base.
     pub fn point(&self, s: usize, state: &CalibrationState) -> Vec3 {
-        state.streams[s].1.inverse().translation.vector
+        state.streams[s].reference.inverse().translation.vector
     }
 
     fn distance_normal(&self, state: &CalibrationState) -> Normal {
@@ -214,7 +161,7 @@ impl CalibrationSystem<'_> {
             let mut along = DVector::zeros(self.parameters.width);
             // The reference maps the point to the origin.
             for (s, sign) in [(a, -1.0), (b, 1.0)] {
-                let reference = self.parameters.streams[s].reference.clone();
+                let [reference, ..] = self.parameters.streams[s].clone();
                 reference.take(3).enumerate().for_each(|(axis, parameter)| {
                     along[parameter] += sign * direction[axis];
                 });
@@ -228,19 +175,20 @@ impl CalibrationSystem<'_> {
 
     pub fn sample_normal(&self, linearized: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width);
-        for (source, stream) in self.sources.iter().zip(linearized) {
-            let own = stream.linear.normal(&stream.weights);
-            normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
-            normal.right += source.columns.transpose() * own.right;
+        for (s, LinearizedStream { linear, weights }) in linearized.iter().enumerate() {
+            let (stream, columns) = (&self.streams[s], &self.columns[s]);
+            let own = linear.normal(weights);
+            normal.matrix += columns.tr_mul(&own.matrix) * columns;
+            normal.right += columns.tr_mul(&own.right);
             normal.cost += own.cost;
             // Distances from a fixed point shrink with the arm. Relative to its size they do not:
             // the derivative of r / (1 + scale).
-            if matches!(source.stream.reference_freedom, FrameFreedom::Position(_)) {
+            if matches!(stream.reference_freedom, FrameFreedom::Position(_)) {
                 normal.right += own.cost * &self.parameters.scale;
             }
             // Excluded rotations are exact zeros.
-            normal.independent += match source.stream.is_rotation_excluded {
-                true => stream.weights[0].noise.independent(stream.linear.len()),
+            normal.independent += match stream.is_rotation_excluded {
+                true => weights[0].noise.independent(linear.len()),
                 false => own.independent,
             };
         }
@@ -254,9 +202,9 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
     ) -> DMatrix<f64> {
         let mut all = self.distance_normal(state).matrix;
-        for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(linearized) {
+        for (columns, LinearizedStream { linear, weights }) in self.columns.iter().zip(linearized) {
             let [_, scores] = linear.covariance_parts(weights);
-            all += source.columns.transpose() * scores * &source.columns;
+            all += columns.tr_mul(&scores) * columns;
         }
         all
     }
@@ -273,10 +221,10 @@ impl CalibrationSystem<'_> {
         &self,
         normal: &Normal,
         link_m: f64,
-    ) -> (DVector<f64>, Option<Cholesky<f64, Dyn>>) {
+    ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
         let prior = DVector::from_vec(self.parameters.prior(link_m));
         let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
-        (prior, precision.cholesky())
+        Some((prior, precision.cholesky()?))
     }
 
     /// Step to the maximum of the posterior, and the precision there.
@@ -286,8 +234,7 @@ impl CalibrationSystem<'_> {
         state: &CalibrationState,
         link_m: f64,
     ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
-        let (prior, cholesky) = self.posterior(normal, link_m);
-        let cholesky = cholesky?;
+        let (prior, cholesky) = self.posterior(normal, link_m)?;
         let right = &normal.right - prior.component_mul(&self.deviation_from_prior(state));
         Some((cholesky.solve(&right), cholesky))
     }
@@ -299,17 +246,16 @@ impl CalibrationSystem<'_> {
         let (min_m, max_m, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
-            let (prior, cholesky) = self.posterior(normal, link_m);
-            let Some(cholesky) = cholesky else { return f64::NEG_INFINITY };
+            let Some((prior, cholesky)) = self.posterior(normal, link_m) else {
+                return f64::NEG_INFINITY;
+            };
             let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
             total.dot(&cholesky.solve(&total)) - log_det
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
         let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
-        let tried: Vec<(f64, f64)> = tried
-            .take_while(|link_m| *link_m < 4.0 * max_m)
-            .map(|link_m| (link_m, evidence(link_m)))
-            .collect();
+        let tried = tried.take_while(|link_m| *link_m < 4.0 * max_m);
+        let tried: Vec<(f64, f64)> = tried.map(|link_m| (link_m, evidence(link_m))).collect();
         let best = tried.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
         let (best_m, highest) = best.unwrap_or((min_m, 0.0));
         let likely = tried.iter().filter(|(_, evidence)| highest - evidence <= MAX_LOG_RATIO);
@@ -319,25 +265,21 @@ impl CalibrationSystem<'_> {
     pub fn advance(&self, state: &mut CalibrationState, step: &DVector<f64>) {
         // Neglects a product of frame errors, which the next iteration corrects.
         state.values += step;
-        for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
-            let own = &self.parameters.streams[s];
-            let twist = |range: &Range<usize>| -> [f64; 6] {
+        for (s, stream) in state.streams.iter_mut().enumerate() {
+            let [reference, tool, latency] = &self.parameters.streams[s];
+            let frame = |range: &Range<usize>| {
                 let mut twist = [0.0; 6];
                 twist.iter_mut().zip(range.clone()).for_each(|(part, at)| *part = step[at]);
-                twist
+                pose_of_twist(&twist)
             };
-            if !own.reference.is_empty() {
-                *reference *= pose_of_twist(&twist(&own.reference));
-            }
-            if !own.tool.is_empty() {
-                let stream = self.sources[s].stream;
-                let chain = self.robot.chain(stream.base, stream.tip);
+            stream.reference *= frame(reference);
+            if !tool.is_empty() {
+                let CalibrationStream { base, tip, .. } = self.streams[s];
+                let chain = self.robot.chain(base, tip);
                 let tip = chain.map_or_else(|_| Pose::identity(), |chain| chain.last_from_tip());
-                *tool = tip.inverse() * pose_of_twist(&twist(&own.tool)) * tip * *tool;
+                stream.tool = tip.inverse() * frame(tool) * tip * stream.tool;
             }
-            if let Some(latency) = own.latency {
-                *latency_s += step[latency];
-            }
+            stream.latency_s += latency.clone().map(|at| step[at]).sum::<f64>();
         }
     }
 }

@@ -22,7 +22,7 @@ pub(super) struct TipSensitivity {
 
 impl TipSensitivity {
     pub fn new(system: &CalibrationSystem, state: &CalibrationState) -> Self {
-        let parameters = system.parameters;
+        let parameters = &system.parameters;
         let shared = parameters.shared();
         let Some(chain) = system.chain(0, state) else {
             return Self { effects: DMatrix::zeros(0, shared) };
@@ -33,20 +33,14 @@ impl TipSensitivity {
         let design = DMatrix::from_fn(rows, linear.width, |row, column| {
             linear.row(row / 6, row % 6)[column]
         });
-        let mut effects = &design * parameters.shared_columns(0, false, false);
-        let joints = system.path.axes.len();
-        let is_free = |link: usize| parameters.links.iter().all(|one| one.link != link);
-        let free: Vec<usize> = [0, joints]
-            .into_iter()
-            .filter(|&link| is_free(link))
-            .flat_map(|link| 6 * link..6 * link + 6)
-            .collect();
+        let mut effects = &design * parameters.shared_columns(0, [false; 2]);
+        let is_free = |link: &usize| parameters.links.iter().all(|one| one.link != *link);
+        let free = [0, system.path.axes.len()].into_iter().filter(is_free);
+        let free: Vec<usize> = free.flat_map(|link| 6 * link..6 * link + 6).collect();
         if !free.is_empty() {
             let frames = design.select_columns(&free);
-            let normal = frames.transpose() * &frames;
-            if let Some(cholesky) = normal.cholesky() {
-                let taken = cholesky.solve(&(frames.transpose() * &effects));
-                effects -= frames * taken;
+            if let Some(cholesky) = frames.tr_mul(&frames).cholesky() {
+                effects -= &frames * cholesky.solve(&frames.tr_mul(&effects));
             }
         }
         Self { effects }
