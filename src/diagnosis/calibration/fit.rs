@@ -83,7 +83,7 @@ pub fn calibrate_arm(
     let fitted = (&inverse * &normal.matrix).trace();
     let scores =
         system.scores(&linearized, &state) / (1.0 - fitted_share(&inverse, &normal)).powi(2);
-    let prior = DMatrix::from_diagonal(&DVector::from_vec(parameters.prior(link_m)));
+    let prior = DMatrix::from_diagonal(&parameters.prior(link_m));
     let covariance = &inverse * (scores + prior) * &inverse;
     // Fits all parameters to the other folds.
     let held_out = system.cross_validated(&linearized, &state, |training| {

@@ -29,9 +29,11 @@ impl FixedPoint {
     /// # Panics
     /// If a configuration has not one value per joint.
     pub fn fit<'a>(chain: &Chain, configurations: impl Iterator<Item = &'a [f64]>) -> Option<Self> {
-        let poses: Vec<_> = configurations.map(|q| chain.forward(q)).collect();
-        let rotations: Vec<Matrix3<f64>> =
-            poses.iter().map(|pose| pose.rotation.to_rotation_matrix().into_inner()).collect();
+        let poses = configurations.map(|q| {
+            let pose = chain.forward(q);
+            (pose.rotation.to_rotation_matrix().into_inner(), pose.translation.vector)
+        });
+        let poses: Vec<(Matrix3<f64>, Vec3)> = poses.collect();
         let mut weights = vec![1.0; poses.len()];
         let mut found = None;
         for _ in 0..ROUNDS {
@@ -39,25 +41,18 @@ impl FixedPoint {
             if total <= 0.0 {
                 return None;
             }
-            let (mut rotation, mut translation) = (Matrix3::zeros(), Vec3::zeros());
-            for ((r, pose), w) in rotations.iter().zip(&poses).zip(&weights) {
-                rotation += *w / total * r;
-                translation += *w / total * pose.translation.vector;
-            }
+            let weighted = || poses.iter().zip(&weights).map(|((r, p), weight)| (r, p, *weight));
+            let mean_rotation: Matrix3<f64> = weighted().map(|(r, _, w)| w / total * r).sum();
+            let mean: Vec3 = weighted().map(|(_, p, w)| w / total * p).sum();
             let (mut matrix, mut right) = (Matrix3::zeros(), Vec3::zeros());
-            for ((r, pose), w) in rotations.iter().zip(&poses).zip(&weights) {
-                let turn = r - rotation;
-                matrix += *w * turn.transpose() * turn;
-                right -= *w * turn.transpose() * (pose.translation.vector - translation);
+            for (r, p, w) in weighted() {
+                let turn = r - mean_rotation;
+                matrix += w * turn.transpose() * turn;
+                right -= w * turn.transpose() * (p - mean);
             }
-            let inverse = matrix.pseudo_inverse(MIN_ROTATION_SHARE * total).ok()?;
-            let tip_xyz = inverse * right;
-            let base_xyz = rotation * tip_xyz + translation;
-            let errors: Vec<Vec3> = rotations
-                .iter()
-                .zip(&poses)
-                .map(|(r, pose)| r * tip_xyz + pose.translation.vector - base_xyz)
-                .collect();
+            let tip_xyz = matrix.pseudo_inverse(MIN_ROTATION_SHARE * total).ok()? * right;
+            let base_xyz = mean_rotation * tip_xyz + mean;
+            let errors: Vec<Vec3> = poses.iter().map(|(r, p)| r * tip_xyz + p - base_xyz).collect();
             weights = huber(&errors, FLOOR_M);
             found = Some(Self { base_xyz, errors });
         }

@@ -22,7 +22,7 @@ use crate::priors::LINK_PRIOR_M;
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Pose stream to calibrate from.
 #[derive(Clone, Debug)]
@@ -224,17 +224,14 @@ impl ArmCalibration {
     /// Standard errors of a deviation; zero for components fixed by convention.
     pub fn std_errors(&self, link: usize) -> [f64; 6] {
         std::array::from_fn(|axis| {
-            let (turns, axis) = (axis >= 3, axis % 3);
-            let own: Vec<(usize, f64)> = self
-                .parameters
-                .iter()
-                .enumerate()
-                .filter(|(_, one)| one.link == link && one.is_rotation == turns)
-                .map(|(at, one)| (at, one.direction[axis]))
-                .collect();
-            let pairs = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));
-            let variance: f64 = pairs.map(|(a, b)| a.1 * b.1 * self.covariance[(a.0, b.0)]).sum();
-            variance.max(0.0).sqrt()
+            let direction = |one: &LinkParameter| match one.link == link {
+                true if one.is_rotation == (axis >= 3) => one.direction[axis % 3],
+                _ => 0.0,
+            };
+            let links = self.parameters.len();
+            let along = DVector::from_fn(links, |at, _| direction(&self.parameters[at]));
+            let covariance = self.covariance.view((0, 0), (links, links));
+            along.dot(&(covariance * &along)).max(0.0).sqrt()
         })
     }
 }

@@ -108,21 +108,20 @@ impl CalibrationParameters {
     }
 
     /// Precision per parameter.
-    pub fn prior(&self, link_m: f64) -> Vec<f64> {
-        let links = self.links.iter().map(|one| match one.is_rotation {
-            true => (RAD_PER_M * link_m).powi(-2),
-            false => link_m.powi(-2),
-        });
-        let rest = self.width - self.links.len();
-        links.chain(std::iter::repeat_n(FREE_PRIOR.powi(-2), rest)).collect()
+    pub fn prior(&self, link_m: f64) -> DVector<f64> {
+        let std_deviation = |at: usize| match self.links.get(at) {
+            Some(one) if one.is_rotation => RAD_PER_M * link_m,
+            Some(_) => link_m,
+            None => FREE_PRIOR,
+        };
+        DVector::from_fn(self.width, |at, _| std_deviation(at).powi(-2))
     }
 
     /// Prior of a nominal model's shared parameters. Zeros have the prior of link angles.
     pub fn nominal_covariance(&self, link_m: f64) -> DMatrix<f64> {
-        let mut precision = self.prior(link_m);
-        precision.truncate(self.shared());
-        precision[self.links.len()..].fill((RAD_PER_M * link_m).powi(-2));
-        DMatrix::from_diagonal(&DVector::from_vec(precision).map(f64::recip))
+        let mut precision = self.prior(link_m).rows(0, self.shared()).into_owned();
+        precision.rows_range_mut(self.links.len()..).fill((RAD_PER_M * link_m).powi(-2));
+        DMatrix::from_diagonal(&precision.map(f64::recip))
     }
 
     /// Maps parameters to columns of `nominal_model::link_frames`: reference, each joint's child

@@ -212,7 +212,7 @@ impl CalibrationSystem<'_> {
     fn deviation_from_prior(&self, state: &CalibrationState) -> DVector<f64> {
         let mut values = state.values.clone();
         // Flat prior, centred on the current value.
-        values.as_mut_slice()[self.parameters.links.len()..].fill(0.0);
+        values.rows_range_mut(self.parameters.links.len()..).fill(0.0);
         values
     }
 
@@ -222,7 +222,7 @@ impl CalibrationSystem<'_> {
         normal: &Normal,
         link_m: f64,
     ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
-        let prior = DVector::from_vec(self.parameters.prior(link_m));
+        let prior = self.parameters.prior(link_m);
         let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
         Some((prior, precision.cholesky()?))
     }

@@ -225,7 +225,7 @@ fn spread_at(case: &Case, calibrate: &ArmCalibration, q: &[f64]) -> [f64; 3] {
         .collect();
     std::array::from_fn(|axis| {
         let slope =
-            nalgebra::DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
+            DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
         slope.dot(&(&calibrate.covariance * &slope)).sqrt()
     })
 }

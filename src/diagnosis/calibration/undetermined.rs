@@ -29,7 +29,7 @@ pub(super) fn undetermined_directions(
             of_links -= both * cholesky.solve(&both.transpose());
         }
     }
-    let scale = DVector::from_fn(links, |i, _| prior[i].sqrt().recip());
+    let scale = prior.rows(0, links).map(|precision| precision.sqrt().recip());
     let scaled = DMatrix::from_fn(links, links, |i, j| of_links[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();
     let mut found: Vec<UndeterminedDirection> = (0..links)
