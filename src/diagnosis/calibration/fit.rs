@@ -125,7 +125,7 @@ pub fn calibrate_arm(
         link_m,
         max_link_m,
         remaining_step: unsettled,
-        undetermined: undetermined_directions(&normal.matrix, parameters, link_m, &workspace),
+        undetermined: undetermined_directions(&inverse, parameters, link_m, &workspace),
         calibrated_uncertainty: workspace.uncertainty(&shared_covariance),
         nominal_uncertainty: workspace.uncertainty(&parameters.nominal_covariance(link_m)),
         robot: system.robot_with(&state, &system.zeros(&state)),
