@@ -14,14 +14,21 @@ use rand::{RngExt, SeedableRng};
 const CONFIGURATIONS: usize = 300;
 const RANDOM_SEED: u64 = 24;
 
-/// Sensitivity to the shared parameters within the joint limits, after projecting out free constant frames.
-pub(super) struct TipSensitivity {
+/// Sensitivity of the tip's pose to parameters.
+pub(crate) struct TipSensitivity {
     /// Six rows per configuration: position in m, rotation in rad.
     effects: DMatrix<f64>,
 }
 
 impl TipSensitivity {
-    pub fn new(system: &CalibrationSystem, state: &CalibrationState) -> Self {
+    /// To the first `parameters` of [`tip_derivatives`].
+    pub fn from_derivatives(linear: &Linear, parameters: usize) -> Self {
+        let derivative = |row: usize, column: usize| linear.row(row / 6, row % 6)[column];
+        Self { effects: DMatrix::from_fn(6 * linear.len(), parameters, derivative) }
+    }
+
+    /// To the shared parameters within the joint limits, after projecting out free constant frames.
+    pub(super) fn new(system: &CalibrationSystem, state: &CalibrationState) -> Self {
         let parameters = &system.parameters;
         let shared = parameters.shared();
         let Some(chain) = system.chain(0, state) else {
@@ -29,10 +36,7 @@ impl TipSensitivity {
         };
         let joints = random_configurations(&chain, CONFIGURATIONS, RANDOM_SEED);
         let linear = tip_derivatives(&chain, &joints);
-        let rows = 6 * linear.len();
-        let design = DMatrix::from_fn(rows, linear.width, |row, column| {
-            linear.row(row / 6, row % 6)[column]
-        });
+        let design = Self::from_derivatives(&linear, linear.width).effects;
         let mut effects = &design * parameters.shared_columns(0, [false; 2]);
         let is_free = |link: &usize| parameters.links.iter().all(|one| one.link != *link);
         let free = [0, system.path.axes.len()].into_iter().filter(is_free);

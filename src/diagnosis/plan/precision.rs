@@ -2,7 +2,8 @@
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
-use crate::calibration::workspace::{random_configurations, tip_derivatives};
+use crate::calibration::FkUncertainty;
+use crate::calibration::workspace::{TipSensitivity, random_configurations, tip_derivatives};
 use crate::hand_eye;
 use crate::imu;
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, ZERO_PRIOR};
@@ -299,23 +300,13 @@ impl<'a> LinearizedMotion<'a> {
     fn calibrated(&self, covariance: &DMatrix<f64>) -> Vec<ExpectedPrecision> {
         let everywhere = random_configurations(self.chain, CONFIGURATIONS, RANDOM_SEED);
         let far = tip_derivatives(self.chain, &everywhere);
-        let rms = |linear: &Linear, kind: usize| {
-            let mut sum = 0.0;
-            for sample in 0..linear.len() {
-                for row in (3 * kind..3 * kind + 3).map(|row| linear.row(sample, row)) {
-                    let row = nalgebra::DVector::from_column_slice(&row[..self.links()]);
-                    sum += row.dot(&(covariance * &row));
-                }
-            }
-            (sum / linear.len().max(1) as f64).max(0.0).sqrt()
-        };
         let of = |everywhere: bool, linear: &Linear| {
+            let tip = TipSensitivity::from_derivatives(linear, self.links());
+            let FkUncertainty { m, rad } = tip.uncertainty(covariance);
             let position = PlannedQuantity::FkPosition { everywhere };
             let rotation = PlannedQuantity::FkRotation { everywhere };
-            [(position, 0), (rotation, 1)].map(|(quantity, kind)| ExpectedPrecision {
-                quantity,
-                half_width: rms(linear, kind),
-            })
+            [(position, m), (rotation, rad)]
+                .map(|(quantity, half_width)| ExpectedPrecision { quantity, half_width })
         };
         [of(false, &self.linear), of(true, &far)].concat()
     }
