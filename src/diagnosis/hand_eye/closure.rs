@@ -2,43 +2,39 @@
 
 use super::fit::HandEyeFit;
 use super::series::HandEyeSetting;
+use super::start::median_of;
 use super::{ClosureError, MIN_POSES};
 use crate::residuals::excess::{excess_square, mean_of, square_root};
 use crate::solver::noise::rms;
 use ground::geometry::Vec3;
-use ground::stats::{Measured, median};
+use ground::stats::Measured;
 
 /// For the standard error of the excess.
 const BLOCKS: usize = 12;
 
 /// `None` for fewer than [`MIN_POSES`] poses.
 pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
-    let residuals = setting.targets.iter();
-    let residuals: Vec<(f64, [Vec3; 2])> = residuals
-        .filter_map(|(t_s, target)| Some((*t_s, fit.residual(setting, *t_s, target)?)))
-        .collect();
-    if residuals.len() < MIN_POSES {
+    let all = setting
+        .targets
+        .iter()
+        .filter_map(|(t_s, target)| Some((*t_s, fit.residual(setting, *t_s, target)?)));
+    let all: Vec<(f64, [Vec3; 2])> = all.collect();
+    if all.len() < MIN_POSES {
         return None;
     }
-    let near = residuals.iter().map(|(_, residuals)| residuals);
-    let near: Vec<&[Vec3; 2]> = near.filter(|residuals| !fit.is_outlier(residuals)).collect();
-    let (all, outliers) = (residuals.len(), residuals.len() - near.len());
-    let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|residuals| residuals[kind]).collect() };
-    let medians = [0, 1].map(|kind| {
-        let mut norms: Vec<f64> =
-            residuals.iter().map(|(_, residuals)| residuals[kind].norm()).collect();
-        median(&mut norms).unwrap_or(0.0)
-    });
+    let near = all.iter().filter(|(_, residuals)| !fit.is_outlier(residuals));
+    let near = [0, 1].map(|kind| near.clone().map(|(_, it)| it[kind]).collect::<Vec<Vec3>>());
+    let median = |kind: usize| median_of(all.iter().map(|(_, residuals)| residuals[kind].norm()));
     Some(ClosureError {
-        poses: all,
-        outliers,
-        rms_m: rms(&of(0)),
-        rms_rad: rms(&of(1)),
-        median_m: medians[0],
-        median_rad: medians[1],
-        excess_m: excess(&of(0)),
-        excess_rad: excess(&of(1)),
-        each: residuals.iter().map(|(t_s, [m, rad])| (*t_s, m.norm(), rad.norm())).collect(),
+        poses: all.len(),
+        outliers: all.len() - near[0].len(),
+        rms_m: rms(&near[0]),
+        rms_rad: rms(&near[1]),
+        median_m: median(0),
+        median_rad: median(1),
+        excess_m: excess(&near[0]),
+        excess_rad: excess(&near[1]),
+        each: all.iter().map(|(t_s, [m, rad])| (*t_s, m.norm(), rad.norm())).collect(),
     })
 }
 

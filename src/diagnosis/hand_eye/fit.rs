@@ -3,13 +3,13 @@
 //! X)⁻¹ · Y`.
 
 use super::series::{HandEyeSetting, PoseSeries};
-use super::start::{HandEyeStart, MEDIAN_NORMAL_LENGTH, combined_rad};
+use super::start::{MEDIAN_NORMAL_LENGTH, combined_rad, median_of};
 use super::{CameraMount, CameraPose, MIN_POSES};
 use crate::model::jacobian::pose_change;
 use crate::solver::linear::{Linear, Weight};
 use crate::solver::robust::sandwich;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::{Measured, mean, median};
+use ground::stats::{Measured, mean};
 use nalgebra::DMatrix;
 
 /// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
@@ -29,7 +29,7 @@ pub(super) struct HandEyeFit<'a> {
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
     /// Poses without outliers.
-    setting: HandEyeSetting<'a>,
+    pub setting: HandEyeSetting<'a>,
 }
 
 /// Scale factors of the target's positions.
@@ -72,21 +72,16 @@ impl HandEyeFit<'_> {
     /// Pose with standard errors.
     pub fn camera(&self) -> CameraPose {
         let dof = self.offset_s.dof;
-        let error = |first: usize| {
-            [0, 1, 2].map(|axis| self.covariance[(first + axis, first + axis)].max(0.0).sqrt())
-        };
+        let variance = |at: usize| self.covariance[(at, at)];
+        let error = |first: usize| [0, 1, 2].map(|axis| variance(first + axis).max(0.0).sqrt());
         // Along the vector, or the largest component of a zero vector.
         let along = |vector: Vec3, first: usize| {
-            let value = vector.norm();
-            let direction = vector.try_normalize(1e-9);
-            let block = self.covariance.view((first, first), (3, 3));
-            let variance = match direction {
-                Some(u) if block.iter().all(|entry| entry.is_finite()) => {
-                    (u.transpose() * block * u)[(0, 0)]
-                }
-                _ => (0..3).map(|axis| block[(axis, axis)]).fold(0.0, f64::max),
+            let block = self.covariance.fixed_view::<3, 3>(first, first);
+            let variance = match vector.try_normalize(1e-9) {
+                Some(u) if block.iter().all(|entry| entry.is_finite()) => u.dot(&(block * u)),
+                _ => block.diagonal().max().max(0.0),
             };
-            Measured { value, std_error: variance.max(0.0).sqrt(), dof }
+            Measured { value: vector.norm(), std_error: variance.max(0.0).sqrt(), dof }
         };
         let camera = self.state.camera;
         let shift = camera.rotation.inverse() * camera.translation.vector;
@@ -197,14 +192,14 @@ pub(crate) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -
     state.linear(&setting, None)
 }
 
-/// `None` if fewer than [`MIN_POSES`] poses remain.
-pub(super) fn fit(
-    setting: HandEyeSetting<'_>,
-    start: HandEyeStart,
+/// Fits the closed-form solution's camera and constant again without outliers, if these are few. `None` if fewer than
+/// [`MIN_POSES`] poses remain.
+pub(super) fn fit<'a>(
+    setting: HandEyeSetting<'a>,
+    [camera, constant]: [Pose; 2],
     lag_s: f64,
-) -> Option<HandEyeFit<'_>> {
-    let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
-    let found = with_covariance(iterate(state, &setting)?, setting)?;
+) -> Option<HandEyeFit<'a>> {
+    let found = refine(HandEyeState { camera, constant, offset_s: lag_s }, setting)?;
     let setting = &found.setting;
     let is_inlier = |(t_s, target): &&(f64, Pose)| {
         let residual = found.residual(setting, *t_s, target);
@@ -214,67 +209,51 @@ pub(super) fn fit(
     if (targets.len() as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
         return Some(found);
     }
-    let inliers = setting.with_targets(targets);
-    with_covariance(iterate(found.state, &inliers)?, inliers)
+    refine(found.state, HandEyeSetting { targets, ..*setting })
 }
 
 /// Halves each step until the cost decreases under the previous weights.
-fn iterate(mut state: HandEyeState, setting: &HandEyeSetting) -> Option<HandEyeState> {
+fn refine(mut state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<HandEyeFit<'_>> {
     const MAX_HALVINGS: usize = 6;
-    let mut linear = state.linear(setting, None);
+    let mut linear = state.linear(&setting, None);
     let mut weights = linear.first_weights();
     for _ in 0..MAX_ROUNDS {
         if linear.len() < MIN_POSES {
             return None;
         }
         let normal = linear.normal(&weights);
-        let mut step = normal.full_step();
-        let mut next = None;
-        for _ in 0..MAX_HALVINGS {
+        let steps = std::iter::successors(Some(normal.full_step()), |step| Some(0.5 * step));
+        let next = steps.take(MAX_HALVINGS).find_map(|step| {
             let moved = state.stepped(step.as_slice());
-            let there = moved.linear(setting, None);
+            let there = moved.linear(&setting, None);
             // The offset may add or remove poses at the ends.
-            let same = there.len() == linear.len();
-            if !same || there.normal(&weights).cost <= normal.cost {
-                next = Some((moved, there));
-                break;
-            }
-            step *= 0.5;
-        }
-        let Some((moved, there)) = next else { break };
-        state = moved;
-        linear = there;
+            let is_same = there.len() == linear.len();
+            let is_better = !is_same || there.normal(&weights).cost <= normal.cost;
+            is_better.then_some((step, moved, there))
+        });
+        let Some((step, moved, there)) = next else { break };
+        (state, linear) = (moved, there);
         weights = linear.weights();
         let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
         if is_small && step[OFFSET_COLUMN].abs() < 1e-8 {
             break;
         }
     }
-    Some(state)
-}
-
-/// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
-fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
-    let [information, scores] = linear.covariance_parts(weights);
-    sandwich(&information, &scores)
-}
-
-fn with_covariance(state: HandEyeState, setting: HandEyeSetting<'_>) -> Option<HandEyeFit<'_>> {
-    let linear = state.linear(&setting, None);
     if linear.len() < MIN_POSES {
         return None;
     }
     let weights = linear.weights();
     let covariance = covariance_of(&linear, &weights);
     let dof = linear.normal(&weights).dof(WIDTH);
-    let sigma = [0, 1].map(|kind| {
-        let mut norms: Vec<f64> = linear.residual[kind].iter().map(Vec3::norm).collect();
-        median(&mut norms).unwrap_or(0.0) / MEDIAN_NORMAL_LENGTH
-    });
-    let offset_s = Measured {
-        value: state.offset_s,
-        std_error: covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt(),
-        dof,
-    };
+    let sigma = [0, 1]
+        .map(|kind| median_of(linear.residual[kind].iter().map(Vec3::norm)) / MEDIAN_NORMAL_LENGTH);
+    let std_error = covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt();
+    let offset_s = Measured { value: state.offset_s, std_error, dof };
     Some(HandEyeFit { state, offset_s, sigma, covariance, setting })
+}
+
+/// Covariance of all parameters. A variance is infinite if the poses do not determine its parameter.
+fn covariance_of(linear: &Linear, weights: &[Weight]) -> DMatrix<f64> {
+    let [information, scores] = linear.covariance_parts(weights);
+    sandwich(&information, &scores)
 }

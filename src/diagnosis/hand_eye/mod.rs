@@ -283,7 +283,7 @@ fn best_lag_s(streams: &HandEyeStreams, lags: &[f64]) -> f64 {
         .map(|mount| streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES));
     let misfit = |lag_s: f64| {
         let starts = settings.each_ref().map(|setting| start::solve_closed_form(setting, lag_s));
-        starts.into_iter().flatten().map(|start| start.misfit).fold(f64::MAX, f64::min)
+        starts.into_iter().flatten().map(|start| start.0).fold(f64::MAX, f64::min)
     };
     let misfits = lags.iter().map(|&lag_s| (misfit(lag_s), lag_s));
     misfits.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, lag_s)| lag_s)
@@ -295,19 +295,18 @@ fn solve(
     encoding: TargetEncoding,
     lag_s: f64,
 ) -> Option<HandEyeSolution> {
-    let fits = CameraMount::ALL.map(|mount| {
+    let fits = CameraMount::ALL.into_iter().filter_map(|mount| {
         let setting = streams.setting(encoding, mount, MAX_FIT_POSES);
-        let start = start::solve_closed_form(&setting, lag_s)?;
-        let fit = fit(setting, start, lag_s)?;
-        Some((mount, fit.misfit(), fit))
+        let (_, frames) = start::solve_closed_form(&setting, lag_s)?;
+        fit(setting, frames, lag_s)
     });
-    let mut fits: Vec<(CameraMount, f64, HandEyeFit)> = fits.into_iter().flatten().collect();
-    fits.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
-    let (mount, misfit, fit) = fits.into_iter().next()?;
-    let closure = closure_error(&streams.setting(encoding, mount, usize::MAX), &fit)?;
+    let mut fits: Vec<HandEyeFit> = fits.collect();
+    fits.sort_by(|a, b| a.misfit().total_cmp(&b.misfit()));
+    let other = fits.get(1).map_or(f64::INFINITY, HandEyeFit::misfit);
+    let fit = fits.first()?;
+    let (mount, misfit) = (fit.setting.mount, fit.misfit());
+    let closure = closure_error(&streams.setting(encoding, mount, usize::MAX), fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
-    let scale = fit.scale(along);
     Some(HandEyeSolution {
         mount,
         ratio: other / misfit.max(1e-9),
@@ -316,7 +315,7 @@ fn solve(
         target: fit.state.constant,
         misfit_rad: misfit,
         closure,
-        scale,
+        scale: fit.scale(along),
     })
 }
 

@@ -56,12 +56,8 @@ impl PoseSeries {
 
 /// Mean in the series' own frame. Shorter than 1 if the directions vary.
 pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
-    let directions = series.poses.iter().filter_map(|pose| {
-        let xyz = pose.translation.vector;
-        let norm = xyz.norm();
-        (norm > 1e-9).then(|| xyz / norm)
-    });
-    let sum: Vec3 = directions.sum();
+    let xyz = series.poses.iter().map(|pose| pose.translation.vector);
+    let sum: Vec3 = xyz.filter_map(|xyz| xyz.try_normalize(1e-9)).sum();
     (sum / series.poses.len().max(1) as f64).into()
 }
 
@@ -74,9 +70,9 @@ pub(super) struct PosePair {
 }
 
 pub(super) struct HandEyeSetting<'a> {
-    hand: &'a PoseSeries,
-    period_s: f64,
-    mount: CameraMount,
+    pub hand: &'a PoseSeries,
+    pub period_s: f64,
+    pub mount: CameraMount,
     /// Decoded target poses.
     pub targets: Vec<(f64, Pose)>,
 }
@@ -89,11 +85,6 @@ impl<'a> HandEyeSetting<'a> {
     ) -> Self {
         let period_s = median_period_s(&hand.t_s);
         Self { hand, period_s, mount, targets: target.collect() }
-    }
-
-    /// The same with other targets.
-    pub fn with_targets(&self, targets: Vec<(f64, Pose)>) -> Self {
-        Self { targets, ..*self }
     }
 
     /// Carrier pose at `t_s`.

@@ -2,7 +2,7 @@
 
 use super::series::{HandEyeSetting, PosePair};
 use ground::geometry::{
-    Pose, Rotation, Vec3, angle_between, pose, rotation_by_wahba, rotation_from_rotvec,
+    Pose, Rotation, Vec3, angle_between, rotation_by_wahba, rotation_from_rotvec,
     rotvec_from_rotation,
 };
 use ground::stats::median;
@@ -13,42 +13,39 @@ const MAX_CLOSED_FORM_POSES: usize = 150;
 /// From the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
-#[derive(Clone, Copy, Debug)]
-pub(super) struct HandEyeStart {
-    pub camera: Pose,
-    pub constant: Pose,
-    /// Median closure error, rad.
-    pub misfit: f64,
-}
-
 pub(super) fn combined_rad(length_m: f64, angle_rad: f64) -> f64 {
     (length_m / M_PER_RAD).hypot(angle_rad)
 }
 
-/// Park and Martin's solution. `None` if the orientations do not vary. Rotations about a single axis leave
-/// several camera rotations; their positions then decide.
-pub(super) fn solve_closed_form(setting: &HandEyeSetting, lag_s: f64) -> Option<HandEyeStart> {
+/// 0 without values.
+pub(super) fn median_of(values: impl Iterator<Item = f64>) -> f64 {
+    median(&mut values.collect::<Vec<f64>>()).unwrap_or(0.0)
+}
+
+/// Median closure error, rad, with camera and constant, by Park and Martin's solution. `None` if the orientations do
+/// not vary. Rotations about a single axis leave several camera rotations; their positions then decide.
+pub(super) fn solve_closed_form(setting: &HandEyeSetting, lag_s: f64) -> Option<(f64, [Pose; 2])> {
     let pairs = setting.pairs_at(lag_s, MAX_CLOSED_FORM_POSES);
     let rotations = camera_rotations(&pairs)?;
     let starts = rotations.into_iter().filter_map(|rotation| with_rotation(&pairs, rotation));
-    starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
+    starts.min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// Uses a single candidate if there is only one axis.
-pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<HandEyeStart> {
+pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<(f64, [Pose; 2])> {
     with_rotation(pairs, *camera_rotations(pairs)?.first()?)
 }
 
-fn with_rotation(pairs: &[PosePair], rotation: Rotation) -> Option<HandEyeStart> {
+fn with_rotation(pairs: &[PosePair], rotation: Rotation) -> Option<(f64, [Pose; 2])> {
     let constant = |pair: &PosePair| pair.carrier_pose.rotation * rotation * pair.target.rotation;
     let constants: Vec<Rotation> = pairs.iter().map(constant).collect();
     let constant_rotation = medoid_rotation(&constants)?;
     let translations = fit_positions(pairs, &rotation, 0, &[])?.values;
     let [camera, constant] = [(0, rotation), (3, constant_rotation)].map(|(first, rotation)| {
-        pose(Vec3::from(translations.fixed_rows::<3>(first)).into(), rotation)
+        Pose::from_parts(translations.fixed_rows::<3>(first).into_owned().into(), rotation)
     });
-    let mut misfits: Vec<f64> = pairs.iter().map(|pair| misfit(pair, &camera, &constant)).collect();
-    Some(HandEyeStart { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
+    let misfits = pairs.iter().map(|pair| misfit(pair, &camera, &constant));
+    Some((median_of(misfits), [camera, constant]))
 }
 
 fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
@@ -74,9 +71,14 @@ fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
 
 /// Median difference of the rotation angles of carrier and camera, rad, independent of the mount.
 pub(super) fn angle_difference(pairs: &[PosePair]) -> f64 {
-    let mut differences: Vec<f64> =
-        relative_rotations(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    median(&mut differences).unwrap_or(0.0)
+    median_of(relative_rotations(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()))
+}
+
+/// Those with errors of up to about three times the median.
+fn inliers<T>(mut items: Vec<T>, error: impl Fn(&T) -> f64) -> Vec<T> {
+    let limit = 3.0 * median_of(items.iter().map(&error)) + 1e-9;
+    items.retain(|item| error(item) <= limit);
+    items
 }
 
 /// Maps camera to carrier rotations. Several candidates if there is only one axis.
@@ -88,28 +90,24 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     const MIN_ROTATION_SHARE: f64 = 0.3;
     /// Near half a turn the axis is ambiguous.
     const MAX_ROTATION_RAD: f64 = 2.9;
-    let turns = relative_rotations(pairs);
+    let mut turns = relative_rotations(pairs);
     let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < MAX_ROTATION_RAD);
     let largest = largest.fold(0.0, f64::max);
-    let is_usable = |(a, b): &&(Vec3, Vec3)| {
+    turns.retain(|(a, b)| {
         let (a, b) = (a.norm(), b.norm());
         a.min(b) > MIN_ROTATION_SHARE * largest && a.max(b) < MAX_ROTATION_RAD
-    };
-    let usable: Vec<&(Vec3, Vec3)> = turns.iter().filter(is_usable).collect();
-    let mut differences: Vec<f64> =
-        usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    let limit = 3.0 * median(&mut differences).unwrap_or(0.0) + 1e-9;
-    let inliers = || usable.iter().filter(|(a, b)| (a.norm() - b.norm()).abs() <= limit);
-    if largest < 1e-6 || inliers().count() < 3 {
+    });
+    let alike = inliers(turns, |(a, b)| (a.norm() - b.norm()).abs());
+    if largest < 1e-6 || alike.len() < 3 {
         return None;
     }
-    let product = |(a, b): &&(Vec3, Vec3)| a * b.transpose();
-    let initial = rotation_by_wahba(&inliers().map(product).sum::<Matrix3<f64>>());
-    let mut deviation: Vec<f64> = inliers().map(|(a, b)| (a - initial * b).norm()).collect();
-    let limit = 3.0 * median(&mut deviation).unwrap_or(0.0) + 1e-9;
-    let inliers_of_initial = || inliers().filter(|(a, b)| (a - initial * b).norm() <= limit);
-    let rotation = rotation_by_wahba(&inliers_of_initial().map(product).sum::<Matrix3<f64>>());
-    let scatter: Matrix3<f64> = inliers_of_initial().map(|(a, _)| a * a.transpose()).sum();
+    let rotation_of = |turns: &[(Vec3, Vec3)]| {
+        rotation_by_wahba(&turns.iter().map(|(a, b)| a * b.transpose()).sum())
+    };
+    let initial = rotation_of(&alike);
+    let near = inliers(alike, |(a, b)| (a - initial * b).norm());
+    let rotation = rotation_of(&near);
+    let scatter: Matrix3<f64> = near.iter().map(|(a, _)| a * a.transpose()).sum();
     let eigen = scatter.symmetric_eigen();
     let first = eigen.eigenvalues.imax();
     let second = (0..3).filter(|&i| i != first).map(|i| eigen.eigenvalues[i]).fold(0.0, f64::max);
@@ -117,19 +115,15 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
         return Some(vec![rotation]);
     }
     let axis: Vec3 = eigen.eigenvectors.column(first).into();
-    let turn = |k: usize| {
-        rotation_from_rotvec(axis * (std::f64::consts::TAU * k as f64 / AXIS_CANDIDATES as f64))
-    };
-    Some((0..AXIS_CANDIDATES).map(|k| turn(k) * rotation).collect())
+    let turn = |k: usize| axis * (std::f64::consts::TAU * k as f64 / AXIS_CANDIDATES as f64);
+    Some((0..AXIS_CANDIDATES).map(|k| rotation_from_rotvec(turn(k)) * rotation).collect())
 }
 
 /// Smallest median distance to all others, among a few candidates.
 fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     const MAX_CANDIDATES: usize = 15;
-    let distance = |one: &Rotation| {
-        let mut all: Vec<f64> = rotations.iter().map(|other| angle_between(one, other)).collect();
-        median(&mut all).unwrap_or(0.0)
-    };
+    let distance =
+        |one: &Rotation| median_of(rotations.iter().map(|other| angle_between(one, other)));
     let tried = thinned(rotations, MAX_CANDIDATES).map(|one| (distance(one), *one));
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
@@ -198,12 +192,10 @@ pub(super) fn fit_positions(
         }
         let inverse = normal.cholesky()?.inverse();
         let values = inverse * right;
-        let deviation: Vec<f64> =
-            rows.iter().map(|(row, value)| (row * values - value).norm()).collect();
-        let residual_m = median(&mut deviation.clone())?;
+        let deviations = rows.iter().map(|(row, value)| (row * values - value).norm());
+        let residual_m = median(&mut deviations.clone().collect::<Vec<f64>>())?;
         let scale = (2.0 * residual_m).max(1e-9);
-        weights =
-            deviation.iter().map(|deviation| 1.0 / (1.0 + (deviation / scale).powi(2))).collect();
+        weights = deviations.map(|deviation| 1.0 / (1.0 + (deviation / scale).powi(2))).collect();
         fit = Some(PositionFit { values, inverse, residual_m });
     }
     fit

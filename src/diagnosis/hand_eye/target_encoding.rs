@@ -84,7 +84,7 @@ fn closure_error_with(
 ) -> Option<f64> {
     let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
         let pairs = streams.setting(encoding, mount, MAX_POSES).pairs_at(lag_s, MAX_POSES);
-        Some(solve_closed_form_quick(&pairs)?.misfit)
+        Some(solve_closed_form_quick(&pairs)?.0)
     });
     misfits.min_by(f64::total_cmp)
 }

@@ -27,9 +27,9 @@ pub(super) fn estimate_scale_error(
     const MIN_DEVIATION: f64 = 2e-3;
     let setting = streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES);
     let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
-    let rotation = solve_closed_form_quick(&pairs)?.camera.rotation;
+    let (_, [camera, _]) = solve_closed_form_quick(&pairs)?;
     let along = Vec3::from(mean_direction(streams.target)).iamax();
-    let tried = |factors: &[usize]| fit_positions(&pairs, &rotation, along, factors);
+    let tried = |factors: &[usize]| fit_positions(&pairs, &camera.rotation, along, factors);
     let neither = tried(&[])?;
     let (of_size, of_depth, of_both) =
         (tried(&[SIZE_COLUMN])?, tried(&[DEPTH_COLUMN])?, tried(&[SIZE_COLUMN, DEPTH_COLUMN])?);
