@@ -7,7 +7,7 @@
 
 use crate::frames::position_fit::{rigid_rotation, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
-use nalgebra::{DMatrix, DVector, Matrix3, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// As a fraction of the arm's reach.
 const MIN_MOTION_SHARE: f64 = 0.01;
@@ -153,7 +153,7 @@ pub(crate) fn candidate_encodings(
 
 /// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.
 struct EncodingSums {
-    normal: DMatrix<f64>,
+    normal: SMatrix<f64, 7, 7>,
     /// Ignored base axis.
     skipped: Option<usize>,
 }
@@ -181,12 +181,16 @@ struct FreeOffsets {
     shift: bool,
 }
 
-const FREE_COMBINATIONS: [FreeOffsets; 4] = [
-    FreeOffsets { tool: false, shift: false },
-    FreeOffsets { tool: true, shift: false },
-    FreeOffsets { tool: false, shift: true },
-    FreeOffsets { tool: true, shift: true },
-];
+impl FreeOffsets {
+    const SHIFT: Self = Self { tool: false, shift: true };
+    const BOTH: Self = Self { tool: true, shift: true };
+    const ALL: [Self; 4] = [
+        Self { tool: false, shift: false },
+        Self { tool: true, shift: false },
+        Self::SHIFT,
+        Self::BOTH,
+    ];
+}
 
 impl<'a> EncodingSearch<'a> {
     fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, is_inverted: bool) -> Self {
@@ -201,87 +205,79 @@ impl<'a> EncodingSearch<'a> {
 
     /// Includes left-handed axes only if `any`.
     fn candidates(&self, metres: f64, any: bool) -> Vec<PositionEncoding> {
-        let known = self.positions.reference_known;
+        let StreamPositions { constant, reference_known, .. } = *self.positions;
+        let scale = Some(metres.recip());
         let mut found = Vec::new();
-        let mut add = |axes: Option<Axes>,
-                       turn: Matrix3<f64>,
-                       solved: &EncodingSolution,
-                       free: FreeOffsets| {
-            let is_mirrored = turn.determinant() < 0.0;
-            let rank = [
-                (metres != 1.0, 4),
-                (self.is_inverted, INVERSE_RANK),
-                (is_mirrored, 5),
-                (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
-                (axes.is_none() && known, 6),
-                (free.tool, 2),
-                (free.shift && known, 2),
-            ];
-            let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
-            let (is_inverted, residual_m) = (self.is_inverted, solved.residual_m);
-            let is_explained = residual_m <= MAX_RESIDUAL_SHARE * self.extent_m;
-            found.push(PositionEncoding {
-                metres,
-                is_inverted,
-                axes,
-                turn,
-                residual_m,
-                is_explained,
-                rank,
-            });
-        };
         let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
         for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
             let turn = axes_matrix(axes);
             let right = self.right_hand_side(&turn, self.sums_of(axes));
-            for free in FREE_COMBINATIONS {
-                let Some(solved) = self.solve(&right, Some(metres.recip()), free) else { continue };
-                if known || self.positions.constant.is_some() {
-                    add(Some(axes), turn, &solved, free);
+            for free in FreeOffsets::ALL {
+                let Some(solved) = self.solve(&right, scale, free) else { continue };
+                if reference_known || constant.is_some() {
+                    found.push(self.encoding(metres, Some(axes), turn, &solved, free));
                 }
                 if free.tool && free.shift {
                     starts[usize::from(axes.are_left_handed())].push((solved.residual_m, turn));
                 }
             }
         }
-        if self.positions.constant.is_some() {
+        if constant.is_some() {
             return found;
         }
         for (starts, sign) in starts.iter_mut().zip([1.0, -1.0]) {
             starts.sort_by(|a, b| a.0.total_cmp(&b.0));
             for (_, start) in starts.iter().take(2) {
-                for tool in [false, true] {
-                    let free = FreeOffsets { tool, shift: true };
-                    let scale = Some(metres.recip());
-                    if let Some((turn, solved)) = self.best_rotation(*start, sign, scale, free) {
-                        add(None, turn, &solved, free);
-                    }
+                for free in [FreeOffsets::SHIFT, FreeOffsets::BOTH] {
+                    let rotated = self.best_rotation(*start, sign, scale, free);
+                    found.extend(
+                        rotated.map(|(turn, it)| self.encoding(metres, None, turn, &it, free)),
+                    );
                 }
             }
         }
         found
     }
 
+    fn encoding(
+        &self,
+        metres: f64,
+        axes: Option<Axes>,
+        turn: Matrix3<f64>,
+        solved: &EncodingSolution,
+        free: FreeOffsets,
+    ) -> PositionEncoding {
+        let (is_inverted, residual_m) = (self.is_inverted, solved.residual_m);
+        let known = self.positions.reference_known;
+        let is_mirrored = turn.determinant() < 0.0;
+        let rank = [
+            (metres != 1.0, 4),
+            (is_inverted, INVERSE_RANK),
+            (is_mirrored, 5),
+            (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
+            (axes.is_none() && known, 6),
+            (free.tool, 2),
+            (free.shift && known, 2),
+        ];
+        let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
+        let is_explained = residual_m <= MAX_RESIDUAL_SHARE * self.extent_m;
+        PositionEncoding { metres, is_inverted, axes, turn, residual_m, is_explained, rank }
+    }
+
     /// Candidate units, in metres per number: usual units for which the extents agree, one fitted to the
     /// arm, and one fitted to its mirror image.
     fn units(&self) -> Vec<f64> {
-        let ratio = spread(self.positions.xyz) / self.extent_m;
+        let StreamPositions { xyz, constant, read_as_m, .. } = *self.positions;
+        let ratio = spread(xyz) / self.extent_m;
         let may_be = |metres: &f64| {
             !is_plausible_extent(ratio, 1.0) && is_plausible_extent(ratio * metres, 1.0)
         };
-        let usual = LengthScale::common().map(|unit| unit.in_m() / self.positions.read_as_m);
+        let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
         let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
-            let mut best: Option<EncodingSolution> = None;
-            let mut consider = |solved: EncodingSolution| {
-                // Prefer the fit without a tool, which can hide the scale of a motion about a point.
-                let lead = if best.is_some() { 0.5 } else { 1.0 };
-                if best.as_ref().is_none_or(|best| solved.residual_m < lead * best.residual_m) {
-                    best = Some(solved);
-                }
-            };
-            for free in [FREE_COMBINATIONS[2], FREE_COMBINATIONS[3]] {
+            let mut solutions: Vec<EncodingSolution> = Vec::new();
+            for free in [FreeOffsets::SHIFT, FreeOffsets::BOTH] {
                 let fits = Axes::all().iter().filter(of_sign).filter_map(|&axes| {
                     let turn = axes_matrix(axes);
                     let right = self.right_hand_side(&turn, self.sums_of(axes));
@@ -289,29 +285,24 @@ impl<'a> EncodingSearch<'a> {
                 });
                 let fits: Vec<(Matrix3<f64>, EncodingSolution)> = fits.collect();
                 let nearest = fits.iter().min_by(|a, b| a.1.residual_m.total_cmp(&b.1.residual_m));
-                let start = nearest.map(|(turn, _)| *turn);
-                fits.into_iter().for_each(|(_, solved)| consider(solved));
-                if let (Some(start), None) = (start, self.positions.constant)
-                    && let Some((_, solved)) = self.best_rotation(start, sign, None, free)
-                {
-                    consider(solved);
-                }
+                let start = nearest.map(|(turn, _)| *turn).filter(|_| constant.is_none());
+                solutions.extend(fits.into_iter().map(|(_, solved)| solved));
+                let rotated = start.and_then(|start| self.best_rotation(start, sign, None, free));
+                solutions.extend(rotated.map(|(_, solved)| solved));
             }
-            let Some(best) =
-                best.filter(|best| best.residual_m <= MAX_RESIDUAL_SHARE * self.extent_m)
-            else {
-                continue;
-            };
-            let metres = best.scale.recip() * self.positions.read_as_m;
+            // Prefer the fits without a tool, which can hide the scale of a motion about a point.
+            let best = solutions.into_iter().reduce(|best, other| {
+                if other.residual_m < 0.5 * best.residual_m { other } else { best }
+            });
+            let max_m = MAX_RESIDUAL_SHARE * self.extent_m;
+            let Some(best) = best.filter(|best| best.residual_m <= max_m) else { continue };
+            let metres = best.scale.recip() * read_as_m;
             let tolerance = (2.0 * best.residual_m / self.extent_m).clamp(UNIT_TOLERANCE, 0.1);
             let off = |unit: &LengthScale| (metres / unit.in_m() - 1.0).abs();
             let usual = LengthScale::common()
                 .filter(|unit| off(unit) <= tolerance)
                 .min_by(|a, b| off(a).total_cmp(&off(b)));
-            let factor = match usual {
-                Some(unit) => unit.in_m() / self.positions.read_as_m,
-                None => best.scale.recip(),
-            };
+            let factor = usual.map_or(best.scale.recip(), |unit| unit.in_m() / read_as_m);
             let is_unit = !(MIN_UNIT_SCALE.recip()..MIN_UNIT_SCALE).contains(&factor);
             if is_unit && !units.contains(&factor) {
                 units.push(factor);
@@ -333,20 +324,15 @@ impl<'a> EncodingSearch<'a> {
         turn: &Matrix3<f64>,
         sums: &'s EncodingSums,
     ) -> RightHandSide<'s> {
-        let mut right = DVector::zeros(7);
-        let mut square = 0.0;
+        let (mut right, mut square) = (SVector::zeros(), 0.0);
         let back = turn.transpose();
         for (fk, logged) in self.fk.iter().zip(self.positions.xyz) {
             let mut y = back * logged;
             if let Some(skipped) = sums.skipped {
                 y[skipped] = 0.0;
             }
-            right[0] += fk.translation.vector.dot(&y);
-            let tool = fk.rotation.inverse() * y;
-            for axis in 0..3 {
-                right[1 + axis] += tool[axis];
-                right[4 + axis] += y[axis];
-            }
+            let (along, tool) = (fk.translation.vector.dot(&y), fk.rotation.inverse() * y);
+            right += SVector::from([along, tool.x, tool.y, tool.z, y.x, y.y, y.z]);
             square += y.norm_squared();
         }
         RightHandSide { sums, right, square }
@@ -360,36 +346,35 @@ impl<'a> EncodingSearch<'a> {
         free: FreeOffsets,
     ) -> Option<EncodingSolution> {
         let RightHandSide { sums: EncodingSums { normal, .. }, right, square } = right;
-        let mut columns: Vec<usize> = Vec::with_capacity(7);
-        columns.extend(scale.is_none().then_some(0));
-        columns.extend((1..4).filter(|_| free.tool));
-        columns.extend((4..7).filter(|_| free.shift));
+        let is_free = |column: usize| match column {
+            0 => scale.is_none(),
+            1..4 => free.tool,
+            _ => free.shift,
+        };
         let known = scale.unwrap_or(0.0);
         let square = square - 2.0 * known * right[0] + known * known * normal[(0, 0)];
-        let target = |column: usize| right[column] - known * normal[(column, 0)];
-        let rhs = DVector::from_iterator(columns.len(), columns.iter().map(|&c| target(c)));
-        let mut matrix =
-            DMatrix::from_fn(columns.len(), columns.len(), |a, b| normal[(columns[a], columns[b])]);
-        let unregularized = matrix.clone();
+        let rhs = SVector::<f64, 7>::from_fn(|at, _| match is_free(at) {
+            true => right[at] - known * normal[(at, 0)],
+            false => 0.0,
+        });
+        let matrix = SMatrix::<f64, 7, 7>::from_fn(|i, j| match is_free(i) && is_free(j) {
+            true => normal[(i, j)],
+            false => 0.0,
+        });
         let samples = self.fk.len() as f64;
-        for (index, &column) in columns.iter().enumerate() {
-            // Keeps an unobservable tool at zero.
-            matrix[(index, index)] += if column == 0 { 0.0 } else { 1e-6 * samples };
-        }
-        let found = match columns.is_empty() {
-            true => DVector::zeros(0),
-            false => matrix.cholesky()?.solve(&rhs),
-        };
-        let residual_square =
-            square - 2.0 * found.dot(&rhs) + found.dot(&(&unregularized * &found));
-        let value = |column: usize| {
-            columns.iter().position(|&one| one == column).map_or(0.0, |index| found[index])
-        };
-        let scale = scale.unwrap_or_else(|| value(0));
+        // Keeps an unobservable tool at zero, and what is not free.
+        let ridge = SVector::<f64, 7>::from_fn(|at, _| match at {
+            _ if !is_free(at) => 1.0,
+            0 => 0.0,
+            _ => 1e-6 * samples,
+        });
+        let found = (matrix + SMatrix::from_diagonal(&ridge)).cholesky()?.solve(&rhs);
+        let residual_square = square - 2.0 * found.dot(&rhs) + found.dot(&(matrix * found));
+        let scale = scale.unwrap_or(found[0]);
         if scale <= 0.0 {
             return None;
         }
-        let tool = Vec3::new(value(1), value(2), value(3));
+        let tool = found.fixed_rows::<3>(1).into_owned();
         let longest_m = if self.is_inverted { MAX_BASE_DISTANCE_M } else { MAX_TOOL_M };
         let residual_m = (residual_square.max(0.0) / samples).sqrt() / scale;
         (tool.norm() <= longest_m * scale).then_some(EncodingSolution { scale, tool, residual_m })
@@ -405,11 +390,11 @@ impl<'a> EncodingSearch<'a> {
     ) -> Option<(Matrix3<f64>, EncodingSolution)> {
         const MAX_ROUNDS: usize = 60;
         const MIN_RELATIVE_IMPROVEMENT: f64 = 1e-4;
-        let mut turn = start;
-        let mut last = f64::INFINITY;
-        for _ in 0..MAX_ROUNDS {
+        let (mut turn, mut last) = (start, f64::INFINITY);
+        for round in 0..=MAX_ROUNDS {
             let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
-            if solved.residual_m > (1.0 - MIN_RELATIVE_IMPROVEMENT) * last {
+            let max_m = (1.0 - MIN_RELATIVE_IMPROVEMENT) * last;
+            if round == MAX_ROUNDS || solved.residual_m > max_m {
                 return Some((turn, solved));
             }
             last = solved.residual_m;
@@ -417,20 +402,19 @@ impl<'a> EncodingSearch<'a> {
             let points: Vec<Vec3> = self.fk.iter().map(of).collect();
             turn = rigid_rotation(&points, self.positions.xyz, sign)?;
         }
-        let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
-        Some((turn, solved))
+        None
     }
 }
 
 struct RightHandSide<'s> {
     sums: &'s EncodingSums,
-    right: DVector<f64>,
+    right: SVector<f64, 7>,
     square: f64,
 }
 
 impl EncodingSums {
     fn from_fk(fk: &[Pose], skipped: Option<usize>) -> Self {
-        let mut normal = DMatrix::zeros(7, 7);
+        let mut normal = SMatrix::<f64, 7, 7>::zeros();
         for pose in fk {
             let rotation = pose.rotation.to_rotation_matrix();
             for row in (0..3).filter(|row| Some(*row) != skipped) {
