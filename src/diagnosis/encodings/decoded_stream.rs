@@ -6,7 +6,7 @@ use super::orientation_samples::{MAX_ENCODING_RESIDUAL_RAD, PositionInterpretati
 use super::position::{PositionEncodingEstimate, follows_as_logged};
 use super::rotation::{
     EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationCorrections,
-    RotationSamples, decode_nearest, estimate_encoding,
+    RotationDecoder, RotationSamples, estimate_encoding,
 };
 use crate::frames::position_fit::spread;
 use crate::joints::CorrectedJoints;
@@ -120,15 +120,11 @@ pub(crate) fn decode_stream<'a>(
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
         moving_frame: stream.moving_frame,
     };
-    let logged = LoggedRotations::from_orientations(&orientation);
-    choose_branches(
-        &mut observations,
-        &logged,
-        &interpretation,
-        fit.as_ref(),
-        lag_s,
-        &read_as.offsets,
-    );
+    let decoder = fit.as_ref().map(|fit| {
+        let logged = LoggedRotations::from_orientations(&orientation);
+        (fit, RotationDecoder::new(fit.encoding, interpretation.corrections(), logged))
+    });
+    choose_branches(&mut observations, decoder, &interpretation, lag_s, &read_as.offsets);
     check_sample_count(observations.len(), 3)?;
     let moves = observations.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
         && !peaks.is_empty();
@@ -289,24 +285,18 @@ fn are_quaternions(track: &PoseTrack) -> bool {
 /// encoding, uses FK's rotations.
 fn choose_branches(
     observations: &mut PoseObservations,
-    logged: &LoggedRotations,
+    mut fitted: Option<(&EncodingFit, RotationDecoder)>,
     interpretation: &PositionInterpretation,
-    fit: Option<&EncodingFit>,
     lag_s: f64,
     offsets: &[f64],
 ) {
-    let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
     let mut predictor = observations.at(&state, offsets).predictor();
-    let after = interpretation.corrections();
     let decode = |k: usize| {
-        let fk = predictor.pose_at(k)?;
-        let rotation = match fit {
-            Some(EncodingFit { encoding, reference, tool, .. }) => {
-                let expected = reference * fk.rotation * tool;
-                decode_nearest(encoding, &after, logged, k, &expected, &mut buffer)?
-            }
-            None => interpretation.reference.unwrap_or_default() * fk.rotation,
+        let fk = predictor.pose_at(k)?.rotation;
+        let rotation = match &mut fitted {
+            Some((fit, decoder)) => decoder.nearest(k, &(fit.reference * fk * fit.tool))?,
+            None => interpretation.reference.unwrap_or_default() * fk,
         };
         Some((k, rotation))
     };

@@ -1,7 +1,7 @@
 //! Decodes streams with a declared encoding; FK resolves ambiguous rotations.
 
 use super::rotation::{
-    LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
+    LoggedRotations, RotationCorrections, RotationDecoder, RotationSamples, fit_known,
 };
 use crate::latency::correlation::stream_lag_s;
 use crate::samples::sampling::FkSequence;
@@ -72,14 +72,13 @@ pub(crate) fn decode_rotations(
     let samples =
         RotationSamples { after, ..RotationSamples::new(logged_there, &fk, reference_known) };
     let fit = fit_known(&samples, intended.encoding)?;
-    let all = LoggedRotations::Rotations(logged);
-    let mut buffer = Vec::new();
+    let logged = LoggedRotations::Rotations(logged);
+    let mut decoder = RotationDecoder::new(intended.encoding, after, logged);
     let mut last = fit.reference * fk[0] * fit.tool;
-    let mut candidates = Vec::with_capacity(logged.len());
-    for (row, fk) in expected.iter().enumerate() {
+    let decode = |(row, fk): (usize, &Option<Rotation>)| {
         let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
-        last = decode_nearest(&intended.encoding, &after, &all, row, &expected, &mut buffer)?;
-        candidates.push(last);
-    }
-    Some(candidates)
+        last = decoder.nearest(row, &expected)?;
+        Some(last)
+    };
+    expected.iter().enumerate().map(decode).collect()
 }

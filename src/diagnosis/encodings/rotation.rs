@@ -151,69 +151,64 @@ pub(crate) struct EncodingFit {
     pub residual_rad: f64,
 }
 
-/// Candidates of all samples, and of one.
-type Buffers = (CandidateRotations, Vec<Rotation>);
-
-fn fill(
-    truths_of: &mut CandidateRotations,
-    encoding: &PoseEncoding,
-    samples: &RotationSamples,
-    buffer: &mut Vec<Rotation>,
-) {
-    truths_of.clear();
-    let logged = &samples.logged;
-    let count = match logged {
-        LoggedRotations::Rotations(rotations) => rotations.len(),
-        LoggedRotations::Numbers(numbers) => numbers.len(),
-    };
-    for sample in 0..count {
-        candidate_rotations(encoding, logged, sample, buffer);
-        samples.after.apply(buffer);
-        truths_of.push(buffer);
-    }
+/// Decodes logged rotations in one encoding.
+pub(crate) struct RotationDecoder<'a> {
+    encoding: PoseEncoding,
+    after: RotationCorrections,
+    logged: LoggedRotations<'a>,
+    /// Of the last sample.
+    candidates: Vec<Rotation>,
 }
 
-/// Possible true rotations of one sample.
-fn candidate_rotations(
-    encoding: &PoseEncoding,
-    logged: &LoggedRotations,
-    sample: usize,
-    out: &mut Vec<Rotation>,
-) {
-    out.clear();
-    match (encoding, logged) {
-        (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
-            out.push(convention.rotation(numbers[sample]));
-        }
-        (_, LoggedRotations::Numbers(_)) => {}
-        (_, LoggedRotations::Rotations(rotations)) => {
-            let logged = rotations[sample];
-            match encoding {
-                PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => out.push(logged),
-                PoseEncoding::Transposed | PoseEncoding::Inverted => out.push(logged.inverse()),
-                PoseEncoding::QuaternionOrder(slip) => {
-                    out.extend(rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&logged))));
-                }
-                PoseEncoding::Misinterpreted(class) => {
-                    class.members[0].true_rotations(&logged, out);
+impl<'a> RotationDecoder<'a> {
+    pub fn new(
+        encoding: PoseEncoding,
+        after: RotationCorrections,
+        logged: LoggedRotations<'a>,
+    ) -> Self {
+        Self { encoding, after, logged, candidates: Vec::new() }
+    }
+
+    /// Possible true rotations of one sample.
+    fn candidates(&mut self, sample: usize) -> &[Rotation] {
+        let out = &mut self.candidates;
+        out.clear();
+        match (self.encoding, self.logged) {
+            (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
+                out.push(convention.rotation(numbers[sample]));
+            }
+            (_, LoggedRotations::Numbers(_)) => {}
+            (encoding, LoggedRotations::Rotations(rotations)) => {
+                let logged = rotations[sample];
+                match encoding {
+                    PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => out.push(logged),
+                    PoseEncoding::Transposed | PoseEncoding::Inverted => out.push(logged.inverse()),
+                    PoseEncoding::QuaternionOrder(slip) => {
+                        out.extend(rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&logged))));
+                    }
+                    PoseEncoding::Misinterpreted(class) => {
+                        class.members[0].true_rotations(&logged, out);
+                    }
                 }
             }
         }
+        self.after.apply(out);
+        out
+    }
+
+    /// Decodes one sample to the branch nearest to `expected`.
+    pub fn nearest(&mut self, sample: usize, expected: &Rotation) -> Option<Rotation> {
+        nearest(self.candidates(sample), expected).map(|(rotation, _)| rotation)
     }
 }
 
-/// Decodes one sample to the branch nearest to `expected`.
-pub(crate) fn decode_nearest(
-    encoding: &PoseEncoding,
-    after: &RotationCorrections,
-    logged: &LoggedRotations,
-    sample: usize,
-    expected: &Rotation,
-    buffer: &mut Vec<Rotation>,
-) -> Option<Rotation> {
-    candidate_rotations(encoding, logged, sample, buffer);
-    after.apply(buffer);
-    nearest(buffer, expected).map(|(rotation, _)| rotation)
+impl RotationSamples<'_> {
+    fn candidates(&self, encoding: PoseEncoding) -> CandidateRotations {
+        let mut candidates = CandidateRotations::default();
+        let mut decoder = RotationDecoder::new(encoding, self.after, self.logged);
+        (0..self.fk.len()).for_each(|sample| candidates.push(decoder.candidates(sample)));
+        candidates
+    }
 }
 
 /// Largest residual of a candidate as good as one of `residual_rad`.
@@ -351,18 +346,12 @@ fn turns_world_only(fit: &EncodingFit) -> bool {
 
 /// Whether the fit tilts gravity.
 fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
-    let mut buffer = Vec::new();
-    let gravity: Vec3 = forces
-        .iter()
-        .enumerate()
-        .filter_map(|(sample, force)| {
-            let expected = fit.reference * samples.fk[sample] * fit.tool;
-            let truth = decode_nearest(
-                &fit.encoding, &samples.after, &samples.logged, sample, &expected, &mut buffer,
-            )?;
-            Some(truth * force)
-        })
-        .sum();
+    let mut decoder = RotationDecoder::new(fit.encoding, samples.after, samples.logged);
+    let in_world = forces.iter().enumerate().filter_map(|(sample, force)| {
+        let expected = fit.reference * samples.fk[sample] * fit.tool;
+        Some(decoder.nearest(sample, &expected)? * force)
+    });
+    let gravity: Vec3 = in_world.sum();
     // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
     all > 0.0 && gravity.z < MIN_UPRIGHT_COSINE * gravity.norm().max(0.5 * all)
@@ -372,12 +361,12 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
 fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
     let fault =
         u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
-    match (reference_known, fit.frames) {
-        (true, FreeFrameErrors::None) => fault,
-        (true, FreeFrameErrors::Tool | FreeFrameErrors::Reference) => 2 + fault,
-        (true, FreeFrameErrors::Both) => 4 + fault,
-        (false, FreeFrameErrors::None | FreeFrameErrors::Reference) => 2 * fault,
-        (false, FreeFrameErrors::Tool | FreeFrameErrors::Both) => 1 + 2 * fault,
+    match reference_known {
+        true => 2 * fit.frames.frame_count() + fault,
+        false => {
+            2 * fault
+                + u8::from(matches!(fit.frames, FreeFrameErrors::Tool | FreeFrameErrors::Both))
+        }
     }
 }
 
@@ -408,9 +397,8 @@ fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) ->
         LoggedRotations::Rotations(_) => vec![PoseEncoding::AsLogged],
         LoggedRotations::Numbers(_) => candidate_encodings(samples),
     };
-    let buffers = &mut Default::default();
     let fits_without_fault = |encoding: PoseEncoding| {
-        let fits = fits_of_encoding(samples, &frames[..1], encoding, buffers);
+        let fits = fits_of_encoding(samples, &frames[..1], encoding);
         fits.iter().all(|fit| fit.residual_rad <= MAX_EXPLAINED_RAD && agrees(fit))
     };
     if faultless.into_iter().any(fits_without_fault) {
@@ -427,10 +415,8 @@ fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) ->
     let coarse =
         RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
     let screened = nearest_fits(&coarse, frames, SCREENING_ERROR_FACTOR);
-    let refit = |buffers: &mut _, coarse: Vec<EncodingFit>| {
-        fits_of_encoding(samples, frames, coarse[0].encoding, buffers)
-    };
-    screened.into_par_iter().map_init(Default::default, refit).flatten_iter().collect()
+    let refit = |coarse: Vec<EncodingFit>| fits_of_encoding(samples, frames, coarse[0].encoding);
+    screened.into_par_iter().flat_map_iter(refit).collect()
 }
 
 /// Fits per candidate, in the order of the candidates. Keeps residuals up to `factor` times the largest
@@ -441,14 +427,13 @@ fn nearest_fits(
     factor: f64,
 ) -> Vec<Vec<EncodingFit>> {
     let encodings = candidate_encodings(samples);
-    let candidates_and_bound = |buffer: &mut Vec<Rotation>, encoding| {
-        let mut candidates = CandidateRotations::default();
-        fill(&mut candidates, encoding, samples, buffer);
+    let candidates_and_bound = |&encoding: &PoseEncoding| {
+        let candidates = samples.candidates(encoding);
         let bound = residual_bound(&candidates, samples.fk);
         (candidates, bound)
     };
     let (candidates, bounds): (Vec<CandidateRotations>, Vec<f64>) =
-        encodings.par_iter().map_init(Vec::new, candidates_and_bound).unzip();
+        encodings.par_iter().map(candidates_and_bound).unzip();
     let is_as_logged = |&candidate: &usize| matches!(encodings[candidate], PoseEncoding::AsLogged);
     let mut nearest: Vec<usize> = (0..encodings.len()).collect();
     nearest.sort_by(|a, b| {
@@ -535,10 +520,8 @@ fn fits_of_encoding(
     samples: &RotationSamples,
     frames: &[FreeFrameErrors],
     encoding: PoseEncoding,
-    (candidates, buffer): &mut Buffers,
 ) -> Vec<EncodingFit> {
-    fill(candidates, &encoding, samples, buffer);
-    fits_with(samples, frames, encoding, candidates)
+    fits_with(samples, frames, encoding, &samples.candidates(encoding))
 }
 
 /// Same with the candidates of the encoding.
@@ -564,8 +547,7 @@ fn fits_with(
 
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
-    let fits =
-        fits_of_encoding(samples, allowed_frames(samples), encoding, &mut Default::default());
+    let fits = fits_of_encoding(samples, allowed_frames(samples), encoding);
     let min_residual = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
     let max_residual = max_similar(min_residual);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
@@ -629,7 +611,7 @@ mod tests {
             rotation_from_rotvec(Vec3::new(part(1), part(2), part(3)) * 4.0)
         };
         let fk: Vec<Rotation> = (0..21).map(rotation).collect();
-        let (mut smaller, mut buffers) = (0, Buffers::default());
+        let mut smaller = 0;
         for (case, encoding) in misinterpretation_classes().iter().enumerate().step_by(7) {
             let [reference, tool, noise] = [1, 2, 3].map(|k| rotation(50 * case + k));
             let noise = noise.powf(0.05);
@@ -641,9 +623,8 @@ mod tests {
             let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
             for encoding in candidate_encodings(&samples) {
                 let both = &[FreeFrameErrors::Both];
-                let residual =
-                    fits_of_encoding(&samples, both, encoding, &mut buffers)[0].residual_rad;
-                let bound = residual_bound(&buffers.0, &fk);
+                let residual = fits_of_encoding(&samples, both, encoding)[0].residual_rad;
+                let bound = residual_bound(&samples.candidates(encoding), &fk);
                 assert!(bound <= residual + 1e-9, "{encoding:?}: {residual} < {bound}");
                 smaller += usize::from(residual < 0.1);
             }

@@ -18,11 +18,6 @@ impl CandidateRotations {
         &self.rotations[start..self.ends[sample]]
     }
 
-    pub fn clear(&mut self) {
-        self.ends.clear();
-        self.rotations.clear();
-    }
-
     /// Appends the next sample's candidates.
     pub fn push(&mut self, candidates: &[Rotation]) {
         self.rotations.extend_from_slice(candidates);

@@ -10,7 +10,7 @@ use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample
 use super::solve::Solved;
 use super::{Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
+    EncodingFit, LoggedRotations, RotationCorrections, RotationDecoder, RotationSamples,
     estimate_imu_encoding,
 };
 use crate::frames::position_fit::spread;
@@ -90,10 +90,11 @@ impl Link<'_> {
                 .ok_or(why)?,
             Ok(estimated) => estimated,
         };
-        let mut buffer = Vec::new();
         let logged = LoggedRotations::Rotations(&track.orientation);
         let mount = known_mount.unwrap_or_default() * fit.tool;
         let width = OrientationModel::LINKS_START + 3 * self.inner_links();
+        let unchanged = RotationCorrections::default();
+        let mut decoder = RotationDecoder::new(fit.encoding, unchanged, logged);
         let mut model = OrientationModel {
             link: self,
             common: CommonParameters::new(start, mount, moves, width),
@@ -102,12 +103,9 @@ impl Link<'_> {
             mount_rad: Err(NotObservable::NoFrame),
             world_from_base: fit.reference,
         };
-        let unchanged = RotationCorrections::default();
         for (k, state) in self.states(self.rows(), start) {
             let expected = model.world_from_base * state.rotation * mount;
-            let decoded =
-                decode_nearest(&fit.encoding, &unchanged, &logged, k, &expected, &mut buffer);
-            model.samples.extend(decoded.map(|truth| (track.t_s[k], truth)));
+            model.samples.extend(decoder.nearest(k, &expected).map(|truth| (track.t_s[k], truth)));
         }
         check_sample_count(model.samples.len(), MIN_FIT_SAMPLES)?;
         model.init_mount(known_mount.unwrap_or_default());
