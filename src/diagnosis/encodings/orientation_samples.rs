@@ -3,13 +3,12 @@
 use super::axis_convention::{PositionEncoding, axes_matrix};
 use super::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, estimate_encoding,
-    fit_known,
+    fit_known, number_encodings, simple_encodings,
 };
 use crate::PoseEncoding;
 use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
 use crate::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
 use ground::geometry::{Axes, Rotation, Vec3, angle_between};
-use ground::geometry::{Convention, QuaternionOrderError};
 use ground::stats::mean;
 use nalgebra::Matrix3;
 
@@ -87,55 +86,50 @@ fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
 }
 
+/// Interpretation with the rotation encoding under it.
+type Interpreted = (PositionInterpretation, EncodingEstimate, EncodingFit);
+
 impl RotationSamples<'_> {
     /// Rotation encoding under one interpretation, with its rotated reference.
     fn estimate_encoding(
         &self,
-        interpretation: &PositionInterpretation,
-    ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-        let turned = self.rotated(interpretation);
-        let (mut encoding, mut fit) =
-            estimate_encoding(&self.interpreted(interpretation, &turned))?;
+        interpretation: PositionInterpretation,
+    ) -> EstimateResult<Interpreted> {
+        let (mut encoding, mut fit) = self.interpreted(&interpretation, estimate_encoding)?;
         fit.reference *= interpretation.reference.unwrap_or_default();
         if interpretation.axes != AxesError::NONE {
             encoding.as_logged_rad = self.as_logged_rad();
         }
-        Ok((encoding, fit))
+        Ok((interpretation, encoding, fit))
     }
 
     /// Smallest residual of the simplest encodings, rad.
     fn simplest_residual_rad(&self, interpretation: &PositionInterpretation) -> f64 {
-        let turned = self.rotated(interpretation);
-        let samples = self.interpreted(interpretation, &turned);
-        let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
-            .into_iter()
-            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder));
-        let numbers = || Convention::all().iter().map(|&one| PoseEncoding::Numbers(one));
         let encodings: Vec<PoseEncoding> = match self.logged {
-            LoggedRotations::Rotations(_) => simple.collect(),
-            LoggedRotations::Numbers(_) => numbers().collect(),
+            LoggedRotations::Rotations(_) => simple_encodings().collect(),
+            LoggedRotations::Numbers(_) => number_encodings().collect(),
         };
-        let fits = encodings.into_iter().filter_map(|encoding| fit_known(&samples, encoding));
-        fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+        self.interpreted(interpretation, |samples| {
+            let fits = encodings.into_iter().filter_map(|encoding| fit_known(samples, encoding));
+            fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+        })
     }
 
-    fn rotated(&self, interpretation: &PositionInterpretation) -> Vec<Rotation> {
-        let reference = interpretation.reference.unwrap_or_default();
-        self.fk.iter().map(|fk| reference * fk).collect()
-    }
-
-    fn interpreted<'s>(
-        &'s self,
+    /// Evaluates the samples under an interpretation.
+    fn interpreted<T>(
+        &self,
         interpretation: &PositionInterpretation,
-        turned: &'s [Rotation],
-    ) -> RotationSamples<'s> {
-        RotationSamples {
-            fk: turned,
+        evaluate: impl FnOnce(&RotationSamples) -> T,
+    ) -> T {
+        let reference = interpretation.reference.unwrap_or_default();
+        let turned: Vec<Rotation> = self.fk.iter().map(|fk| reference * fk).collect();
+        evaluate(&RotationSamples {
+            fk: &turned,
             reference_free: interpretation.reference.is_none(),
             reference_known: self.reference_known || interpretation.reference.is_some(),
             after: interpretation.corrections(),
             ..*self
-        }
+        })
     }
 
     /// Rms angle of logged rotations to FK, rad.
@@ -151,8 +145,8 @@ impl RotationSamples<'_> {
         &self,
         interpretations: Vec<PositionInterpretation>,
         unanchored: PositionInterpretation,
-    ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
-        let fits = |found: &EstimateResult<(_, _, EncodingFit)>| {
+    ) -> EstimateResult<Interpreted> {
+        let fits = |found: &EstimateResult<Interpreted>| {
             found.as_ref().is_ok_and(|(_, _, fit)| fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD)
         };
         let best = self.best(interpretations);
@@ -163,42 +157,34 @@ impl RotationSamples<'_> {
         if fits(&free) { free } else { best }
     }
 
-    fn best(
-        &self,
-        interpretations: Vec<PositionInterpretation>,
-    ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
+    fn best(&self, interpretations: Vec<PositionInterpretation>) -> EstimateResult<Interpreted> {
         /// For other axes of rotations only.
         const MIN_RESIDUAL_RATIO: f64 = 5.0;
-        let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
-        let mut why = NotObservable::NoOrientation;
+        let mut best: EstimateResult<Interpreted> = Err(NotObservable::NoOrientation);
         // Rotations may have other axes even if positions have standard ones.
         let is_declared = |interpretation: &&PositionInterpretation| {
             interpretation.reference.is_some() && interpretation.axes == AxesError::NONE
         };
         let declared_frame = interpretations.iter().find(is_declared).copied();
+        let order = |(_, _, fit): &Interpreted| match fit.residual_rad {
+            ..=MAX_ENCODING_RESIDUAL_RAD => (0, f64::from(fit.frames.frame_count())),
+            residual_rad => (1, residual_rad),
+        };
         for interpretation in interpretations {
-            let (encoding, fit) = match self.estimate_encoding(&interpretation) {
-                Ok(found) => found,
-                Err(unseen) => {
-                    why = unseen;
-                    continue;
-                }
-            };
+            let found = self.estimate_encoding(interpretation);
             // Reversed joints may mirror positions, but not rotations.
-            if interpretation.axes != AxesError::NONE
-                && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD
-            {
-                continue;
-            }
-            let order = |fit: &EncodingFit| match fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD {
-                true => (0, f64::from(fit.frames.frame_count())),
-                false => (1, fit.residual_rad),
+            let is_rejected = found.as_ref().is_ok_and(|(interpretation, _, fit)| {
+                interpretation.axes != AxesError::NONE
+                    && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD
+            });
+            let is_better = match (&found, &best) {
+                (Ok(found), Ok(best)) => order(found) < order(best),
+                (found, best) => found.is_ok() || best.is_err(),
             };
-            let is_best_possible = order(&fit) == (0, 0.0);
-            if best.as_ref().is_none_or(|(_, _, known)| order(&fit) < order(known)) {
-                best = Some((interpretation, encoding, fit));
+            if is_better && !is_rejected {
+                best = found;
             }
-            if is_best_possible {
+            if best.as_ref().is_ok_and(|best| order(best) == (0, 0.0)) {
                 break;
             }
         }
@@ -206,7 +192,7 @@ impl RotationSamples<'_> {
         let Some(declared_frame) =
             declared_frame.filter(|_| residual_rad > MAX_ENCODING_RESIDUAL_RAD)
         else {
-            return best.ok_or(why);
+            return best;
         };
         let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
         let turned = right_handed.map(|&rotations| {
@@ -217,10 +203,7 @@ impl RotationSamples<'_> {
         let rotated = turned.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(rad, _)| {
             *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < residual_rad
         });
-        let rotated = rotated.and_then(|(_, interpretation)| {
-            let (encoding, fit) = self.estimate_encoding(&interpretation).ok()?;
-            Some((interpretation, encoding, fit))
-        });
-        rotated.or(best).ok_or(why)
+        let rotated = rotated.and_then(|(_, turned)| self.estimate_encoding(turned).ok());
+        rotated.map_or(best, Ok)
     }
 }

@@ -370,21 +370,28 @@ fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
     }
 }
 
+/// Common slips, the simplest first.
+pub(super) fn simple_encodings() -> impl Iterator<Item = PoseEncoding> {
+    [PoseEncoding::AsLogged, PoseEncoding::Transposed]
+        .into_iter()
+        .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))
+}
+
+pub(super) fn number_encodings() -> impl Iterator<Item = PoseEncoding> {
+    Convention::all().iter().map(|&convention| PoseEncoding::Numbers(convention))
+}
+
 fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
     let is_possible = |encoding: &PoseEncoding| {
         samples.are_quaternions || !matches!(encoding, PoseEncoding::QuaternionOrder(_))
     };
+    let misread = misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted);
     match samples.logged {
-        LoggedRotations::Numbers(_) => {
-            Convention::all().iter().map(|&c| PoseEncoding::Numbers(c)).collect()
-        }
+        LoggedRotations::Numbers(_) => number_encodings().collect(),
         LoggedRotations::Rotations(_) if samples.only_as_logged => vec![PoseEncoding::AsLogged],
-        LoggedRotations::Rotations(_) => [PoseEncoding::AsLogged, PoseEncoding::Transposed]
-            .into_iter()
-            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))
-            .chain(misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted))
-            .filter(is_possible)
-            .collect(),
+        LoggedRotations::Rotations(_) => {
+            simple_encodings().chain(misread).filter(is_possible).collect()
+        }
     }
 }
 
