@@ -12,13 +12,11 @@
 //! 3. Gauss–Newton over `X`, `Y` and the time offset, with robust weights.
 
 mod closure;
-mod decoded_target;
 mod diversity;
 mod fit;
 mod series;
 mod start;
 mod target_encoding;
-mod target_scale;
 
 use crate::latency::correlation::{self, LagPeak, SpeedSeries};
 use crate::{EstimateResult, FrameEstimate, NotObservable};
@@ -27,13 +25,13 @@ use ground::stats::{Measured, MeasuredLength};
 use nalgebra::{DMatrix, DVector};
 
 use closure::closure_error;
-pub use decoded_target::{TargetEncoding, TargetScaleError};
 use diversity::rotation_diversity;
 pub use fit::TargetScale;
 use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
 pub use series::PoseSeries;
 use target_encoding::better_encoding;
+pub use target_encoding::{TargetEncoding, TargetScaleError};
 
 /// Longer streams are thinned evenly.
 pub(super) const MAX_FIT_POSES: usize = 500;

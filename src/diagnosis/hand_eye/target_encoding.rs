@@ -1,18 +1,103 @@
-//! Alternative encodings of a target's poses. The camera's mount absorbs a common rotation of all axes.
-//! Observable are positions in other axes than rotations, transposed or misinterpreted rotations, and
-//! scaled positions.
+//! Encodings of a target's poses, and the one with which the chain closes. The camera's mount absorbs a common rotation
+//! of all axes. Observable are positions in other axes than rotations, transposed or misinterpreted rotations, and
+//! scaled positions: a wrong tag size scales all coordinates, a wrong focal length only depth.
 
-use super::decoded_target::{TargetEncoding, TargetScaleError};
-use super::start::{angle_difference, solve_closed_form_quick};
-use super::target_scale::estimate_scale_error;
-use super::{CameraMount, HandEyeSolution, HandEyeStreams, solve};
-use ground::geometry::{Axes, QuaternionOrderError, misinterpretation_classes};
+use super::series::{HandEyeSetting, mean_direction};
+use super::start::{
+    DEPTH_COLUMN, MEDIAN_NORMAL_LENGTH, SIZE_COLUMN, angle_difference, fit_positions,
+    solve_closed_form_quick,
+};
+use super::{CameraMount, HandEyeSolution, HandEyeStreams, MAX_FIT_POSES, solve};
+use ground::geometry::{
+    Axes, MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3,
+    misinterpretation_classes, pose, rotation_from_xyzw, xyzw_from_rotation,
+};
+use ground::stats::Measured;
+use ground::stats::thin::thinned;
 
 /// Relative to the logged encoding.
 const MAX_RESIDUAL_RATIO: f64 = 1.0 / 3.0;
 const MAX_POSES: usize = 80;
 /// Noise of the best detectors; smaller closure errors need no other encoding.
 const MAX_CLOSURE_M_RAD: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
+
+/// Encoding of a target's poses.
+#[derive(Clone, Copy, Debug)]
+pub enum TargetEncoding {
+    /// As logged.
+    AsLogged,
+    /// Positions and rotations use different axes: those of the positions, if the rotations use the standard ones.
+    Axes(Axes),
+    /// Only the rotations are transposed.
+    Transposed,
+    /// Quaternion components are permuted.
+    QuaternionOrder(QuaternionOrderError),
+    /// Rotations misinterpreted in another convention.
+    Misinterpreted(&'static MisinterpretationClass),
+    /// Positions are scaled.
+    Scaled(TargetScaleError),
+}
+
+/// Scale errors of a target's positions, as factors by which they are too long.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TargetScaleError {
+    /// Common factor; 1 if the size is right.
+    pub size: Option<Measured>,
+    /// Additional depth factor; 1 if the focal length is right.
+    pub depth: Option<Measured>,
+    /// Depth coordinate: 0 to 2.
+    pub along: usize,
+    /// Whether either factor alone explains the motion almost equally well.
+    pub is_either: bool,
+}
+
+impl TargetScaleError {
+    /// Corrects a logged position.
+    pub fn correct(&self, xyz: Vec3) -> Vec3 {
+        let factor = |of: &Option<Measured>| of.map_or(1.0, |of| of.value);
+        let mut xyz = xyz / factor(&self.size);
+        xyz[self.along] /= factor(&self.depth);
+        xyz
+    }
+}
+
+impl<'a> HandEyeStreams<'a> {
+    /// Hand and decoded target, thinned to about `most` poses.
+    pub(super) fn setting(
+        &self,
+        encoding: TargetEncoding,
+        mount: CameraMount,
+        most: usize,
+    ) -> HandEyeSetting<'a> {
+        let mut truths = Vec::new();
+        let stamped = thinned(self.target.t_s.iter().zip(&self.target.poses), most);
+        let poses = stamped.map(|(&t_s, pose)| (t_s, encoding.decode(pose, &mut truths)));
+        HandEyeSetting::new(self.hand, poses, mount)
+    }
+}
+
+impl TargetEncoding {
+    /// `truths` is a scratch buffer.
+    fn decode(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
+        let (xyz, rotation) = (logged.translation.vector, logged.rotation);
+        match self {
+            Self::AsLogged => *logged,
+            Self::Axes(axes) => pose(axes.to_standard(xyz).into(), rotation),
+            Self::Transposed => pose(xyz.into(), rotation.inverse()),
+            Self::QuaternionOrder(error) => {
+                let meant = rotation_from_xyzw(error.true_xyzw(xyzw_from_rotation(&rotation)));
+                pose(xyz.into(), meant.unwrap_or(rotation))
+            }
+            Self::Misinterpreted(class) => {
+                if let Some(misreading) = class.members.first() {
+                    misreading.true_rotations(&rotation, truths);
+                }
+                pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
+            }
+            Self::Scaled(stretch) => pose(stretch.correct(xyz).into(), rotation),
+        }
+    }
+}
 
 /// `None` if the chain closes as logged or no encoding is much better.
 pub(super) fn better_encoding(
@@ -41,14 +126,14 @@ fn much_better_scale(
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
     /// Ratio to the logged excess error and to the corrected total.
     const MAX_EXCESS_RATIO: f64 = 0.5;
-    let with = |stretch: TargetScaleError| {
+    let with_scale_of = |one: &HandEyeSolution| {
+        let stretch = estimate_scale_error(streams, one.mount, one.offset_s.value)?;
         let encoding = TargetEncoding::Scaled(stretch);
         Some((encoding, solve(streams, encoding, lag_s)?))
     };
-    let at = |one: &HandEyeSolution| estimate_scale_error(streams, one.mount, one.offset_s.value);
     // A large scale error biases the time offset, so repeat at the corrected one.
-    let (_, first) = with(at(as_logged)?)?;
-    let (encoding, solution) = with(at(&first)?)?;
+    let (_, first) = with_scale_of(as_logged)?;
+    let (encoding, solution) = with_scale_of(&first)?;
     let (excess_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
     let closes =
         excess_m < MAX_EXCESS_RATIO * was_m && excess_m < MAX_EXCESS_RATIO * solution.closure.rms_m;
@@ -117,4 +202,59 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     differences.retain(|(difference, _)| *difference < MAX_RESIDUAL_RATIO * as_logged);
     differences.sort_by(|a, b| a.0.total_cmp(&b.0));
     differences.into_iter().take(MAX_ENCODINGS).map(|(_, encoding)| encoding).collect()
+}
+
+/// Prefers one factor if it fits as well as two. `None` if no factor reduces the closure error
+/// substantially.
+fn estimate_scale_error(
+    streams: &HandEyeStreams,
+    mount: CameraMount,
+    offset_s: f64,
+) -> Option<TargetScaleError> {
+    /// Without a factor, relative to the selected model.
+    const MIN_RESIDUAL_RATIO: f64 = 1.4;
+    /// With one factor, relative to two.
+    const MAX_RESIDUAL_RATIO_ONE_FACTOR: f64 = 1.12;
+    /// In standard errors and as a value, which lens distortion reaches.
+    const MIN_STD_ERRORS: f64 = 5.0;
+    const MIN_DEVIATION: f64 = 2e-3;
+    let setting = streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES);
+    let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
+    let (_, [camera, _]) = solve_closed_form_quick(&pairs)?;
+    let along = Vec3::from(mean_direction(streams.target)).iamax();
+    let tried = |factors: &[usize]| fit_positions(&pairs, &camera.rotation, along, factors);
+    let (neither, both) = (tried(&[])?, [SIZE_COLUMN, DEPTH_COLUMN]);
+    let of_both = tried(&both)?;
+    let max_m = MAX_RESIDUAL_RATIO_ONE_FACTOR * of_both.residual_m.max(f64::MIN_POSITIVE);
+    let mut alone = Vec::new();
+    for factors in both.chunks(1) {
+        alone.push((tried(factors)?, factors));
+    }
+    alone.retain(|(fit, _)| fit.residual_m <= max_m);
+    let is_either = alone.len() == 2;
+    let better = alone.into_iter().min_by(|a, b| a.0.residual_m.total_cmp(&b.0.residual_m));
+    let (chosen, factors) = better.unwrap_or((of_both, &both));
+    if neither.residual_m < MIN_RESIDUAL_RATIO * chosen.residual_m {
+        return None;
+    }
+    let sigma_m = chosen.residual_m / MEDIAN_NORMAL_LENGTH;
+    let factor = |column: usize, fixed: f64| match factors.contains(&column) {
+        true => (chosen.values[column], sigma_m * chosen.inverse[(column, column)].max(0.0).sqrt()),
+        false => (fixed, 0.0),
+    };
+    let (all, all_error) = factor(SIZE_COLUMN, 1.0);
+    let (more, more_error) = factor(DEPTH_COLUMN, 0.0);
+    let dof = (3 * pairs.len()).saturating_sub(SIZE_COLUMN + factors.len()).max(3) as f64;
+    let measured = |value: f64, std_error: f64| Measured { value, std_error, dof };
+    let size = measured(1.0 / all, all_error / (all * all));
+    let depth = measured(all / (all + more), more_error * all / (all + more).powi(2));
+    let is_precise = |one: &Measured| {
+        one.value.is_finite()
+            && one.value > 0.0
+            && (one.value - 1.0).abs() > (MIN_STD_ERRORS * one.std_error).max(MIN_DEVIATION)
+    };
+    // A fixed factor is exactly 1, so it is not precise.
+    let (size, depth) = (Some(size).filter(is_precise), Some(depth).filter(is_precise));
+    let is_any = size.is_some() || depth.is_some();
+    is_any.then_some(TargetScaleError { size, depth, along, is_either })
 }
