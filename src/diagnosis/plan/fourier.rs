@@ -2,6 +2,7 @@
 
 use super::JointMargins;
 use ground::stream::JointTrack;
+use nalgebra::{DMatrix, DVectorViewMut};
 use std::f64::consts::{PI, TAU};
 
 /// Rate for limit checks, by the fastest sine.
@@ -75,8 +76,8 @@ impl FourierMotion {
     pub(super) fn project(&mut self, joint: usize, margins: &JointMargins, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
         // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
-        subtract_projections(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
-        subtract_projections(&mut self.cos[own.clone()], &[|_| 1.0, |k| ((k + 1) as f64).powi(2)]);
+        subtract_projections(&mut self.sin[own.clone()], [|k| k]);
+        subtract_projections(&mut self.cos[own.clone()], [|_| 1.0, |k| k * k]);
         let count = SAMPLES_PER_PERIOD * self.harmonics;
         let between = (PI / SAMPLES_PER_PERIOD as f64).cos().recip();
         let mut most = [0.0_f64; 4];
@@ -122,23 +123,14 @@ pub(super) fn sampled(
     track
 }
 
-/// Gram–Schmidt.
-fn subtract_projections<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
-    let mut taken: Vec<Vec<f64>> = Vec::new();
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    for direction in directions {
-        let mut own: Vec<f64> = (0..values.len()).map(direction).collect();
-        for other in &taken {
-            let along = dot(&own, other);
-            own.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);
-        }
-        let norm = dot(&own, &own).sqrt().max(f64::MIN_POSITIVE);
-        own.iter_mut().for_each(|value| *value /= norm);
-        taken.push(own);
-    }
+/// Removes the components along `directions`, functions of the number of the harmonic, from 1.
+fn subtract_projections<const N: usize>(values: &mut [f64], directions: [fn(f64) -> f64; N]) {
+    let harmonics = values.len();
+    let basis = DMatrix::from_fn(harmonics, N, |k, n| directions[n]((k + 1) as f64)).qr().q();
+    let mut values = DVectorViewMut::from_slice(values, harmonics);
     // The second pass removes rounding errors.
-    for other in taken.iter().chain(&taken) {
-        let along = dot(values, other);
-        values.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);
+    for _ in 0..2 {
+        let along = basis.tr_mul(&values);
+        values -= &basis * along;
     }
 }
