@@ -32,6 +32,8 @@ pub(crate) const MAX_RESIDUAL_RAD: f64 = 0.35;
 
 const MIN_SCREENING_SAMPLES: usize = 16;
 const SCREENING_ERROR_FACTOR: f64 = 1.5;
+/// Best candidates to report, besides the selected and the logged encoding.
+const MAX_RANKED: usize = 6;
 /// Candidates fitted at a time, the nearest first.
 const MIN_FITTED: usize = 16;
 
@@ -250,9 +252,7 @@ pub(crate) fn estimate_imu_encoding(
     let agrees =
         |fit: &EncodingFit| !contradicts_gyro(&fit.tool) && !tilts_gravity(fit, samples, forces);
     let fits = all_fits(samples, &agrees);
-    let Some(min_residual) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
-        return Err(NotObservable::NoOrientation);
-    };
+    let min_residual = min_residual_rad(&fits).ok_or(NotObservable::NoOrientation)?;
     if min_residual > MAX_RESIDUAL_RAD {
         return Err(NotObservable::DoesNotFollow(min_residual.cos()));
     }
@@ -266,17 +266,20 @@ pub(crate) fn estimate_imu_encoding(
             && !tilts_gravity(fit, samples, forces)
     };
     let may_tilt_world = forces.is_empty() || !fits.iter().any(is_upright_slip);
-    let ranked: Vec<(u8, &EncodingFit)> = fits
-        .iter()
-        .map(|fit| {
-            let is_contradicted = fit.residual_rad <= accepted.max(by_links)
-                && ((!(may_tilt_world && turns_world_only(fit))
-                    && tilts_gravity(fit, samples, forces))
-                    || contradicts_gyro(&fit.tool));
-            let penalty = if is_contradicted { CONTRADICTION_RANK_PENALTY } else { 0 };
-            (simplicity(fit, samples.reference_known) + penalty, fit)
-        })
-        .collect();
+    // Whether the world's rotation is the only fault.
+    let turns_world_only = |fit: &EncodingFit| {
+        matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference)
+            && matches!(fit.encoding, PoseEncoding::AsLogged)
+    };
+    let rank_of = |fit: &EncodingFit| {
+        let is_contradicted = fit.residual_rad <= accepted.max(by_links)
+            && ((!(may_tilt_world && turns_world_only(fit))
+                && tilts_gravity(fit, samples, forces))
+                || contradicts_gyro(&fit.tool));
+        let penalty = if is_contradicted { CONTRADICTION_RANK_PENALTY } else { 0 };
+        simplicity(fit, samples.reference_known) + penalty
+    };
+    let ranked: Vec<(u8, &EncodingFit)> = fits.iter().map(|fit| (rank_of(fit), fit)).collect();
     // With the same frame errors, another encoding must explain more than link deviations. So must frame errors with
     // another encoding.
     let is_usual = |rank: u8, fit: &EncodingFit| {
@@ -290,58 +293,44 @@ pub(crate) fn estimate_imu_encoding(
     let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
-    let min_residual =
-        simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(min_residual);
-    let max_residual = max_similar(min_residual);
+    let max_residual = max_similar(min_residual_rad(simple()).unwrap_or(min_residual));
     // Prefer an upright world, then the most common encoding.
     let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
     let best = *simple()
         .filter(|fit| fit.residual_rad <= max_residual)
         .min_by_key(leaning)
         .unwrap_or(&fits[0]);
-    let near_best = max_similar(best.residual_rad);
-    let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
-    let others =
-        fits.iter().filter(|fit| fit.frames == best.frames && fit.encoding != best.encoding);
-    let (equivalent, worse): (Vec<&EncodingFit>, Vec<&EncodingFit>) =
-        others.partition(|fit| fit.residual_rad <= near_best);
-    let runner_up = worse.into_iter().min_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
-    let as_logged = fits
-        .iter()
-        .find(|fit| matches!(named(fit), PoseEncoding::AsLogged) && fit.frames == best.frames);
-    let ranked = ranking(&fits, &best).into_iter();
+    // With the same frame errors.
+    let mut alike: Vec<&EncodingFit> =
+        fits.iter().filter(|fit| fit.frames == best.frames).collect();
+    let max_equivalent = max_similar(best.residual_rad);
+    let is_equivalent = |fit: &&&EncodingFit| fit.residual_rad <= max_equivalent;
+    let is_other = |fit: &&&EncodingFit| fit.encoding != best.encoding;
+    let named = |fit: &&EncodingFit| samples.after.reported_encoding(fit.encoding);
+    let with_residual = |fit: &&EncodingFit| (named(fit), fit.residual_rad);
+    let equivalent: Vec<PoseEncoding> =
+        alike.iter().filter(is_other).filter(is_equivalent).map(named).collect();
+    let as_logged = alike.iter().find(|fit| matches!(named(fit), PoseEncoding::AsLogged));
+    let as_logged_rad = as_logged.map(|fit| fit.residual_rad);
+    alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
+    let is_ranked = |(rank, fit): &(usize, &&EncodingFit)| {
+        *rank < MAX_RANKED || matches!(fit.encoding, PoseEncoding::AsLogged) || !is_other(fit)
+    };
     let estimate = EncodingEstimate {
-        ranked: ranked.map(|fit| (named(fit), fit.residual_rad)).collect(),
-        best: named(&best),
+        ranked: alike.iter().enumerate().filter(is_ranked).map(|it| with_residual(it.1)).collect(),
+        best: named(&&best),
         is_inverted: samples.after.inverted,
-        as_logged_rad: as_logged.map(|fit| fit.residual_rad),
+        as_logged_rad,
         best_rad: best.residual_rad,
-        runner_up: runner_up.map(|fit| (named(fit), fit.residual_rad)),
+        runner_up: alike.iter().filter(is_other).find(|fit| !is_equivalent(fit)).map(with_residual),
         is_determined: candidate_encodings(samples).len() > 2 * equivalent.len() + 1,
-        equivalent: equivalent.into_iter().map(named).collect(),
+        equivalent,
     };
     Ok((estimate, best))
 }
 
-/// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
-fn ranking<'a>(fits: &'a [EncodingFit], best: &EncodingFit) -> Vec<&'a EncodingFit> {
-    const MAX_RANKED: usize = 6;
-    let same_frames = fits.iter().filter(|fit| fit.frames == best.frames);
-    let mut same_frames: Vec<&EncodingFit> = same_frames.collect();
-    same_frames.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
-    let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
-        *rank < MAX_RANKED
-            || matches!(fit.encoding, PoseEncoding::AsLogged)
-            || fit.encoding == best.encoding
-    };
-    let kept = same_frames.into_iter().enumerate().filter(is_kept);
-    kept.map(|(_, fit)| fit).collect()
-}
-
-/// Whether the world's rotation is the only fault.
-fn turns_world_only(fit: &EncodingFit) -> bool {
-    matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference)
-        && matches!(fit.encoding, PoseEncoding::AsLogged)
+fn min_residual_rad<'f>(fits: impl IntoIterator<Item = &'f EncodingFit>) -> Option<f64> {
+    fits.into_iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)
 }
 
 /// Whether the fit tilts gravity.
@@ -455,12 +444,12 @@ fn nearest_fits(
         }
         let fit = |&candidate: &usize| {
             let fits = fits_with(samples, frames, encodings[candidate], &candidates[candidate]);
-            let residuals = fits.iter().map(|fit| fit.residual_rad);
-            (residuals.fold(f64::INFINITY, f64::min), candidate, fits)
+            (min_residual_rad(&fits).unwrap_or(f64::INFINITY), candidate, fits)
         };
         fitted.par_extend(batch.par_iter().map(fit));
-        let min_residual = fitted.iter().map(|(residual, ..)| *residual).min_by(f64::total_cmp);
-        limit = min_residual.map_or(limit, |residual_rad| factor * max_accepted(residual_rad));
+        let min_residual =
+            fitted.iter().map(|(residual, ..)| *residual).fold(f64::INFINITY, f64::min);
+        limit = factor * max_accepted(min_residual);
     }
     fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let near = fitted.partition_point(|(residual, ..)| *residual <= limit).max(MIN_FITTED);
@@ -555,8 +544,7 @@ fn fits_with(
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
     let fits = fits_of_encoding(samples, allowed_frames(samples), encoding);
-    let min_residual = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
-    let max_residual = max_similar(min_residual);
+    let max_residual = max_similar(min_residual_rad(&fits)?);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
     max_residual.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
