@@ -13,7 +13,7 @@ use crate::solver::robust::sandwich;
 use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// For a 95 % interval.
@@ -165,19 +165,17 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
-        let (width, middle_s) = (information.ncols(), self.motion.t_s[0] + 0.5 * self.seconds);
+        let (width, samples) = (information.ncols(), self.linear.len());
+        let middle_s = self.motion.t_s[0] + 0.5 * self.seconds;
+        let derivative = |row: usize, column: usize| self.linear.row(row / 3, 3 + row % 3)[column];
+        let rotations = DMatrix::from_fn(3 * samples, width, derivative);
+        let drift = DVector::from_fn(3 * samples, |row, _| {
+            rotations[(row, YAW_PARAMETER)] * (self.motion.t_s[row / 3] - middle_s)
+        });
+        let both = rotations.tr_mul(&drift).push(drift.norm_squared()) / noise_rad.powi(2);
         let mut with = information.resize(width + 1, width + 1, 0.0);
-        for sample in 0..self.linear.len() {
-            let since_s = self.motion.t_s[sample] - middle_s;
-            for row in (3..6).map(|row| self.linear.row(sample, row)) {
-                let drift = row[YAW_PARAMETER] * since_s / noise_rad.powi(2);
-                for (column, value) in row.iter().enumerate() {
-                    with[(width, column)] += drift * value;
-                    with[(column, width)] += drift * value;
-                }
-                with[(width, width)] += drift * row[YAW_PARAMETER] * since_s;
-            }
-        }
+        with.set_column(width, &both);
+        with.set_row(width, &both.transpose());
         with
     }
 
@@ -185,12 +183,13 @@ impl<'a> LinearizedMotion<'a> {
         6 * (self.chain.dof() + 1)
     }
 
+    /// The latency follows the links.
     fn latency(&self) -> usize {
         self.links()
     }
 
     fn zero(&self, joint: usize) -> usize {
-        self.links() + 1 + joint
+        self.latency() + 1 + joint
     }
 
     /// Reference and tool frame, if unknown.

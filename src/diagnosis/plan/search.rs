@@ -94,7 +94,8 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
     let seconds = requirements.seconds - 2.0 * rest_s;
     let harmonics = (MAX_FREQUENCY_HZ * seconds).round() as usize;
     let harmonics = harmonics.clamp(*SINES_PER_JOINT.start(), *SINES_PER_JOINT.end());
-    let search = MotionSearch { requirements, seconds, rest_s, harmonics };
+    let at_rest = FourierMotion::at_rest(requirements.around, seconds, rest_s, harmonics);
+    let search = MotionSearch { requirements, at_rest };
     let mut last = None;
     for share in MARGIN_SHARES {
         let mut random = Pcg64::seed_from_u64(requirements.seed);
@@ -134,21 +135,18 @@ pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
 
 struct MotionSearch<'a> {
     requirements: &'a PlanRequirements<'a>,
-    seconds: f64,
-    rest_s: f64,
-    harmonics: usize,
+    at_rest: FourierMotion,
 }
 
 impl MotionSearch<'_> {
     fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
-        let Self { requirements, seconds, rest_s, harmonics } = *self;
-        let mut series = FourierMotion::at_rest(requirements.around, seconds, rest_s, harmonics);
+        let mut series = self.at_rest.clone();
         for joint in 0..series.dof() {
             let falls = random.random_range(0.3..1.5);
-            for k in 0..self.harmonics {
+            for k in 0..series.harmonics {
                 let size = ((k + 1) as f64).powf(-falls);
                 let mut normal = || -> f64 { StandardNormal.sample(&mut *random) };
-                let at = joint * self.harmonics + k;
+                let at = joint * series.harmonics + k;
                 (series.sin[at], series.cos[at]) = (size * normal(), size * normal());
             }
             series.project(joint, &self.requirements.margins[joint], share);
@@ -186,10 +184,10 @@ impl MotionSearch<'_> {
         for _ in 0..SEARCH_STEPS {
             let mut next = best.1.clone();
             let joint = random.random_range(0..next.dof());
-            let own = joint * self.harmonics..(joint + 1) * self.harmonics;
+            let own = joint * next.harmonics..(joint + 1) * next.harmonics;
             let square = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
             let squares = square(&next.sin[own.clone()]) + square(&next.cos[own.clone()]);
-            let typical = (squares / (2 * self.harmonics) as f64).sqrt();
+            let typical = (squares / (2 * own.len()) as f64).sqrt();
             for value in next.sin[own.clone()].iter_mut().chain(&mut next.cos[own]) {
                 let change: f64 = StandardNormal.sample(&mut *random);
                 *value += size * typical * change;
@@ -208,20 +206,21 @@ impl MotionSearch<'_> {
 
     /// Each joint in turn moves forth and back once, as far and as fast as the limits allow.
     fn single_joint_motion(&self, share: f64, rows: usize) -> JointTrack {
-        let dof = self.requirements.around.len();
-        let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
-        let mut series = FourierMotion::at_rest(self.requirements.around, seconds, 0.0, 2);
+        let FourierMotion { around, seconds: whole_s, rest_s, .. } = &self.at_rest;
+        let dof = around.len();
+        let seconds = whole_s / dof as f64;
+        let mut series = FourierMotion::at_rest(around, seconds, 0.0, 2);
         for joint in 0..dof {
             // Starts and ends at rest.
             (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
             series.project(joint, &self.requirements.margins[joint], share);
         }
-        sampled(rows, whole_s, dof, |joint, t_s| {
-            let t_s = (t_s - self.rest_s).clamp(0.0, self.seconds);
+        sampled(rows, self.at_rest.length_s(), dof, |joint, t_s| {
+            let t_s = (t_s - rest_s).clamp(0.0, *whole_s);
             let mover = ((t_s / seconds) as usize).min(dof - 1);
             match joint == mover {
                 true => series.at(joint, t_s - mover as f64 * seconds),
-                false => [self.requirements.around[joint], 0.0, 0.0],
+                false => [around[joint], 0.0, 0.0],
             }
         })
     }
