@@ -142,16 +142,15 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3], reference_known: bool) -> [bo
     const MIN_MOVING_SPREAD_M: f64 = 5e-3;
     /// Relative to the magnitude; less is rounding.
     const ROUNDING_SHARE: f64 = 1e-9;
-    let spreads = |points: &[Vec3]| -> [f64; 3] {
-        [0, 1, 2].map(|axis| {
-            let along: Vec<Vec3> = points.iter().map(|p| Vec3::x() * p[axis]).collect();
-            spread(&along)
-        })
-    };
+    let spreads =
+        |variances: Vec3| -> [f64; 3] { variances.map(|variance| variance.max(0.0).sqrt()).into() };
     let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
     // In a world of unknown axes, a motion in any plane may have a constant coordinate.
-    let expected = if reference_known { spreads(fk) } else { principal_spreads(fk) };
-    let logged = spreads(xyz);
+    let expected = spreads(match reference_known {
+        true => covariance(fk).diagonal(),
+        false => covariance(fk).symmetric_eigenvalues(),
+    });
+    let logged = spreads(covariance(xyz).diagonal());
     let least = MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * widest(expected));
     let all_move = expected.into_iter().all(|spread| spread > least);
     let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
@@ -160,13 +159,10 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3], reference_known: bool) -> [bo
         .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
 }
 
-/// Rms distances from the mean along the principal axes.
-fn principal_spreads(points: &[Vec3]) -> [f64; 3] {
-    let count = points.len().max(1) as f64;
+fn covariance(points: &[Vec3]) -> Matrix3<f64> {
     let mean = mean_vector(points);
     let square = |point: &Vec3| (point - mean) * (point - mean).transpose();
-    let covariance = points.iter().map(square).sum::<Matrix3<f64>>() / count;
-    covariance.symmetric_eigenvalues().map(|variance| variance.max(0.0).sqrt()).into()
+    points.iter().map(square).sum::<Matrix3<f64>>() / points.len().max(1) as f64
 }
 
 /// Factor to metres from the extent relative to FK's or, at rest, the distance from a known base.
