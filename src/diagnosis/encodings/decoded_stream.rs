@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use super::axis_convention::PositionEncoding;
 use super::orientation_samples::{MAX_ENCODING_RESIDUAL_RAD, PositionInterpretation};
 use super::position::{PositionEncodingEstimate, follows_as_logged};
 use super::rotation::{
@@ -80,10 +81,9 @@ pub(crate) fn decode_stream<'a>(
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let interpretations = interpretations(placement, spread(&at), reference_known);
     let first = interpretations[0];
-    let other =
+    let (other, degrees) =
         in_other_angle_unit(track, &rows, &turning, reference_known, first.corrections()).unzip();
-    let (orientation, degrees) =
-        (other.0.map_or(Cow::Borrowed(&track.orientation), Cow::Owned), other.1);
+    let orientation = other.map_or(Cow::Borrowed(&track.orientation), Cow::Owned);
     let there = orientation.at_rows(&rows);
     let logged = LoggedRotations::from_orientations(&there);
     let turning = RotationSamples {
@@ -104,21 +104,22 @@ pub(crate) fn decode_stream<'a>(
         false => (first, Err(NotObservable::OrientationNotSet), None),
     };
     let mut observations = PoseObservations {
-        joints: &read_as.track,
-        chain,
-        columns,
         gains: &read_as.gains,
         reference_known,
-        rest_speeds: &read_as.rest_speeds,
-        t_s: track.t_s.clone(),
         xyz: interpretation.positions(&track.xyz),
-        rotation: Vec::new(),
         excluded: ExcludedComponents {
             position: standard_axes(placement.constant, &interpretation.axes),
             rotation: fit.is_none(),
         },
-        middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
         moving_frame: stream.moving_frame,
+        ..PoseObservations::new(
+            &read_as.track,
+            chain,
+            columns,
+            &read_as.rest_speeds,
+            &track.t_s,
+            &[],
+        )
     };
     let decoder = fit.as_ref().map(|fit| {
         let logged = LoggedRotations::from_orientations(&orientation);
@@ -153,26 +154,22 @@ fn interpretations(
     reference_known: bool,
 ) -> Vec<PositionInterpretation> {
     let unanchored = PositionInterpretation::unanchored(placement.metres());
+    let by_positions = placement.candidates.iter();
+    let by_positions =
+        by_positions.flat_map(|it| PositionInterpretation::from_encoding(it, spread_m));
+    // Joint zeros can turn the frame that fits the positions of a small motion.
+    let first = placement.candidates.first().filter(|_| reference_known);
+    let declared = first.map(|&PositionEncoding { metres, .. }| PositionInterpretation {
+        metres,
+        reference: Some(Rotation::identity()),
+        ..unanchored
+    });
     let mut interpretations: Vec<PositionInterpretation> = Vec::new();
-    // Several candidates may leave the reference free.
-    let mut add_new = |interpretation: PositionInterpretation| {
+    for interpretation in by_positions.chain(declared) {
+        // Several candidates may leave the reference free.
         if !interpretations.iter().any(|known| known.has_rotations_of(&interpretation)) {
             interpretations.push(interpretation);
         }
-    };
-    for encoding in &placement.candidates {
-        PositionInterpretation::from_encoding(encoding, spread_m)
-            .into_iter()
-            .for_each(&mut add_new);
-    }
-    if reference_known && let Some(encoding) = placement.candidates.first() {
-        // Joint zeros can turn the frame that fits the positions of a small motion.
-        let declared = Some(Rotation::identity());
-        add_new(PositionInterpretation {
-            metres: encoding.metres,
-            reference: declared,
-            ..unanchored
-        });
     }
     match interpretations.first() {
         None => interpretations.push(unanchored),
