@@ -30,8 +30,8 @@ use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
-use shapes::{Basis, Fit, likeliest_shape};
-use windows::{Bin, NormalizedSample, Window, noise, normalized, windows};
+use shapes::{Basis, Fit, likeliest_shape, middle_s};
+use windows::{NormalizedSample, Window, noise, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,63 +94,53 @@ pub(crate) fn largest(steps: &[LatencyStep]) -> Option<Measured> {
 impl LatencyProfile {
     fn from_fit(fit: &Fit, windows: &[Window]) -> Self {
         let (levels_s, covariance) = (&fit.levels_s, fit.covariance());
+        let measured = |value, variance: f64| Measured {
+            value,
+            std_error: variance.max(0.0).sqrt(),
+            dof: windows.len() as f64,
+        };
         // Sizes are differences of levels.
         let size_s = |from: usize, to: usize| {
-            let variance =
-                covariance[(from, from)] + covariance[(to, to)] - 2.0 * covariance[(from, to)];
-            let value = levels_s[to] - levels_s[from];
-            Measured { value, std_error: variance.max(0.0).sqrt(), dof: windows.len() as f64 }
+            let variances = covariance[(from, from)] + covariance[(to, to)];
+            measured(levels_s[to] - levels_s[from], variances - 2.0 * covariance[(from, to)])
         };
-        let profile = |shape, swing_s, levels| Self {
-            swing_s,
-            is_unsteady: true,
-            shape,
-            levels,
-            parameters: fit.basis.parameters(),
-            ..steady_profile(windows)
-        };
-        match &fit.basis {
-            Basis::Line(_) => steady_profile(windows),
+        let bins_s = windows.iter().flat_map(|window| &window.bins).map(|bin| bin.t_s);
+        let steady = steady_profile(windows);
+        let (mut steps, mut skew) = (Vec::new(), 0.0);
+        let (shape, swing_s, levels) = match &fit.basis {
+            Basis::Line(_) => return steady,
             Basis::Steps(times_s) => {
-                let step =
-                    |(at, &at_s): (usize, &f64)| LatencyStep { at_s, size_s: size_s(at, at + 1) };
-                let steps: Vec<LatencyStep> = times_s.iter().enumerate().map(step).collect();
-                let swing_s = largest(&steps).unwrap_or(size_s(0, 0));
+                let sizes_s = (1..levels_s.len()).map(|level| size_s(level - 1, level));
+                let both = times_s.iter().zip(sizes_s);
+                steps = both.map(|(&at_s, size_s)| LatencyStep { at_s, size_s }).collect();
                 let starts_s = std::iter::once(f64::NEG_INFINITY).chain(times_s.iter().copied());
                 let levels: Vec<(f64, f64)> = starts_s.zip(levels_s.iter().copied()).collect();
-                let levels = PiecewiseLatency::with_steps(&levels);
-                Self { steps, ..profile(LatencyShape::Steps, swing_s, levels) }
+                let swing_s = largest(&steps).unwrap_or(size_s(0, 0));
+                (LatencyShape::Steps, swing_s, PiecewiseLatency::with_steps(&levels))
             }
-            &Basis::Ramp([from_s, to_s]) => {
-                let knots = vec![(from_s, levels_s[0]), (to_s, levels_s[1])];
-                let levels = PiecewiseLatency { knots };
-                profile(LatencyShape::Ramp { from_s, to_s }, size_s(0, 1), levels)
+            Basis::Ramp(times_s) => {
+                let knots = times_s.iter().copied().zip(levels_s.iter().copied()).collect();
+                let shape = LatencyShape::Ramp { from_s: times_s[0], to_s: times_s[1] };
+                (shape, size_s(0, 1), PiecewiseLatency { knots })
             }
             Basis::Spline(_) => {
-                let bins = windows.iter().flat_map(|window| &window.bins).enumerate();
-                let level = |(at, bin): (usize, &Bin)| {
-                    (bin.t_s, fit.basis.latency_s(levels_s, at, bin.t_s))
-                };
-                let knots: Vec<(f64, f64)> = bins.map(level).collect();
+                let level = |(at, t_s): (usize, f64)| (t_s, fit.basis.latency_s(levels_s, at, t_s));
+                let knots: Vec<(f64, f64)> = bins_s.enumerate().map(level).collect();
                 let value = value_range(knots.iter().map(|knot| knot.1));
                 let swing_s = Measured { value, ..size_s(levels_s.imin(), levels_s.imax()) };
-                profile(LatencyShape::Wander, swing_s, PiecewiseLatency { knots })
+                (LatencyShape::Wander, swing_s, PiecewiseLatency { knots })
             }
             Basis::Load(load, _) => {
-                let slope = Measured {
-                    value: levels_s[1],
-                    std_error: covariance[(1, 1)].max(0.0).sqrt(),
-                    dof: windows.len() as f64,
-                };
-                let bins = windows.iter().flat_map(|window| &window.bins);
-                let knots =
-                    bins.zip(load).map(|(bin, load)| (bin.t_s, levels_s[0] + levels_s[1] * load));
-                let levels = PiecewiseLatency { knots: knots.collect() };
+                skew = levels_s[2];
+                let level = |load: &f64| levels_s[0] + levels_s[1] * load;
+                let knots = bins_s.zip(load.iter().map(level)).collect();
+                let slope = measured(levels_s[1], covariance[(1, 1)]);
                 let swing_s = slope.scaled(value_range(load.iter().copied()));
-                let skew = levels_s[2];
-                Self { skew, ..profile(LatencyShape::WithLoad, swing_s, levels) }
+                (LatencyShape::WithLoad, swing_s, PiecewiseLatency { knots })
             }
-        }
+        };
+        let parameters = fit.basis.parameters();
+        Self { swing_s, is_unsteady: true, shape, skew, steps, levels, parameters, ..steady }
     }
 
     /// With the steps that remain at compensated stamps. `None` if one of them has another shape.
@@ -263,15 +253,16 @@ pub(crate) fn fit_profile(
     let (Some(first), Some(last)) = (latency_samples.first(), latency_samples.last()) else {
         return Err(NotObservable::AtRest);
     };
-    let middle_s = 0.5 * (logged_s(first.t_s) + logged_s(last.t_s));
-    let removed_s =
-        |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.at(t_s));
-    let normalized = |samples: &[LatencySample], noise| normalized(samples, noise, logged_s);
-    let samples = normalized(latency_samples, noise(latency_samples));
-    let windows_of = |samples: &[NormalizedSample], compensated_s: &dyn Fn(f64) -> f64| {
-        windows(samples, 3 * kinds, compensated_s)
+    let removed = SkewedLatency {
+        levels: removed_ramp.cloned().unwrap_or_default(),
+        skew,
+        middle_s: 0.5 * (logged_s(first.t_s) + logged_s(last.t_s)),
     };
-    let windows = windows_of(&samples, &removed_s);
+    let normalized = |samples: &[LatencySample], noise| normalized(samples, noise, logged_s);
+    let windows_of = |samples: &[LatencySample], compensated: &SkewedLatency| {
+        windows(&normalized(samples, noise(samples)), 3 * kinds, |t_s| compensated.at(t_s))
+    };
+    let windows = windows_of(latency_samples, &removed);
     if windows.is_empty() {
         return Err(NotObservable::AtRest);
     }
@@ -279,63 +270,50 @@ pub(crate) fn fit_profile(
     if windows.iter().filter(is_precise).count() < MIN_WINDOWS {
         return Err(NotObservable::NotExcited);
     }
-    let mut found = FittedProfile::new(&windows)?;
-    let mut compensated: Option<(FittedProfile, Vec<LatencySample>)> = None;
+    let (mut profile, mut latency) = likeliest_profile(&windows)?;
+    let (mut samples, mut compensated) = (latency_samples.to_vec(), removed.clone());
     for _ in 0..GAUSS_NEWTON_STEPS {
-        if !found.profile.is_unsteady {
-            break;
-        }
-        let beyond_s = |t_s: f64| found.latency_s(logged_s(t_s)) - removed_s(logged_s(t_s));
-        let Some(shifted) = samples_at(&beyond_s) else { break };
-        let normalized = normalized(&shifted, noise(&shifted));
-        let windows = windows_of(&normalized, &|t_s| found.latency_s(t_s));
-        let next = FittedProfile::new(&windows)?;
-        compensated = Some((std::mem::replace(&mut found, next), shifted));
+        let beyond_s = |t_s: f64| latency.at(logged_s(t_s)) - removed.at(logged_s(t_s));
+        let shifted = if profile.is_unsteady { samples_at(&beyond_s) } else { None };
+        let Some(shifted) = shifted else { break };
+        (samples, compensated) = (shifted, latency);
+        (profile, latency) = likeliest_profile(&windows_of(&samples, &compensated))?;
     }
-    if !found.profile.is_unsteady {
-        return Ok(found.profile);
+    if !profile.is_unsteady {
+        return Ok(profile);
     }
     // Latency that remains in the samples, without and with the profile.
-    let mean_s = mean(found.profile.windows.iter()).map_or(0.0, |mean| mean.value);
+    let mean_s = mean(profile.windows.iter()).map_or(0.0, |mean| mean.value);
     let without_s = |t_s: f64| match removed_ramp {
-        Some(_) => mean_s - removed_s(t_s),
+        Some(_) => mean_s - removed.at(t_s),
         None => 0.0,
     };
-    let is_unsteady = match &compensated {
-        None => {
-            let with_s = |t_s: f64| found.latency_s(t_s) - removed_s(t_s);
-            explains_residual((&samples, &without_s), (&samples, &with_s))
-        }
-        Some((before, shifted)) => {
-            let noise = noise(shifted);
-            let [samples, shifted] =
-                [latency_samples, shifted].map(|samples| normalized(samples, noise));
-            let with_s = |t_s: f64| found.latency_s(t_s) - before.latency_s(t_s);
-            explains_residual((&samples, &without_s), (&shifted, &with_s))
-        }
-    };
-    Ok(LatencyProfile { is_unsteady, ..found.profile })
+    let with_s = |t_s: f64| latency.at(t_s) - compensated.at(t_s);
+    let noise = noise(&samples);
+    let [before, after] = [latency_samples, &samples].map(|samples| normalized(samples, noise));
+    profile.is_unsteady = explains_residual((&before, &without_s), (&after, &with_s));
+    Ok(profile)
 }
 
-/// A profile and the time about which its skew turns.
-struct FittedProfile {
-    profile: LatencyProfile,
+/// A latency with a skew about the middle of the run.
+#[derive(Clone)]
+struct SkewedLatency {
+    levels: PiecewiseLatency,
+    skew: f64,
     middle_s: f64,
 }
 
-impl FittedProfile {
-    fn new(windows: &[Window]) -> EstimateResult<Self> {
-        let fit = likeliest_shape(windows).ok_or(NotObservable::NotExcited)?;
-        let middle_s = match fit.basis {
-            Basis::Load(_, middle_s) => middle_s,
-            _ => 0.0,
-        };
-        Ok(Self { profile: LatencyProfile::from_fit(&fit, windows), middle_s })
+impl SkewedLatency {
+    fn at(&self, t_s: f64) -> f64 {
+        self.levels.at(t_s) + self.skew * (t_s - self.middle_s)
     }
+}
 
-    fn latency_s(&self, t_s: f64) -> f64 {
-        self.profile.levels.at(t_s) + self.profile.skew * (t_s - self.middle_s)
-    }
+fn likeliest_profile(windows: &[Window]) -> EstimateResult<(LatencyProfile, SkewedLatency)> {
+    let fit = likeliest_shape(windows).ok_or(NotObservable::NotExcited)?;
+    let profile = LatencyProfile::from_fit(&fit, windows);
+    let (levels, skew) = (profile.levels.clone(), profile.skew);
+    Ok((profile, SkewedLatency { levels, skew, middle_s: middle_s(windows) }))
 }
 
 /// Latency that remains at a stamp of samples.

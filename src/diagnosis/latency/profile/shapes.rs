@@ -12,7 +12,7 @@ pub(super) enum Basis {
     /// A constant, and skew about this time.
     Line(f64),
     /// Linear between these two times, constant outside.
-    Ramp([f64; 2]),
+    Ramp(Vec<f64>),
     /// A cubic spline between these times.
     Spline(Vec<f64>),
     /// A constant, a multiple of this load of each bin, and skew about this time.
@@ -62,8 +62,8 @@ impl Basis {
         match self {
             Self::Steps(times_s) => only([(times_s.partition_point(|at_s| *at_s <= t_s), 1.0)]),
             Self::Line(middle_s) => only([(0, 1.0), (1, t_s - middle_s)]),
-            Self::Ramp([from_s, to_s]) => {
-                let part = ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+            Self::Ramp(times_s) => {
+                let part = ((t_s - times_s[0]) / (times_s[1] - times_s[0])).clamp(0.0, 1.0);
                 only([(0, 1.0 - part), (1, part)])
             }
             Self::Spline(times_s) => spline_terms(times_s, t_s),
@@ -164,11 +164,8 @@ impl Fit {
     }
 
     /// The better one.
-    fn or(self, other: Option<Self>) -> Self {
-        match other {
-            Some(other) if other.score > self.score => other,
-            _ => self,
-        }
+    fn or(self, other: Self) -> Self {
+        if other.score > self.score { other } else { self }
     }
 }
 
@@ -176,18 +173,17 @@ impl Fit {
 pub(super) fn likeliest_shape(windows: &[Window]) -> Option<Fit> {
     let line = Fit::new(windows, Basis::Line(middle_s(windows)))?;
     let shapes = [fit_steps, fit_ramp, fit_wander, fit_load];
-    Some(shapes.into_iter().fold(line, |best, fit| {
-        let other = fit(windows, best.score);
-        best.or(other)
+    Some(shapes.into_iter().fold(line, |best, fit| match fit(windows, best.score) {
+        Some(other) => best.or(other),
+        None => best,
     }))
 }
 
 /// The likeliest latency with up to four steps. Skips those whose score cannot exceed `min_score`.
 fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_STEPS: usize = 4;
-    let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
-    let between: Vec<f64> =
-        windows.windows(2).map(|pair| 0.5 * (pair[0].t_s + pair[1].t_s)).collect();
+    let between = windows.windows(2).map(|pair| 0.5 * (pair[0].t_s + pair[1].t_s));
+    let between: Vec<f64> = between.collect();
     let count = effective_count(windows);
     let (mut times_s, mut best) = (Vec::new(), None::<Fit>);
     for steps in 1..=MAX_STEPS {
@@ -198,17 +194,13 @@ fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
         let with = |at_s: &f64| {
             let mut with: Vec<f64> = times_s.iter().copied().chain([*at_s]).collect();
             with.sort_by(f64::total_cmp);
-            let fit = Fit::new(&coarse, Basis::Steps(with.clone()))?;
-            Some((fit.score, with))
+            with
         };
-        let tried = between.iter().filter(|at_s| !times_s.contains(at_s)).filter_map(with);
-        let Some((_, with)) = tried.max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        times_s = with;
-        let refined = refined_times(windows, times_s.clone(), Basis::Steps);
-        best = match (best, refined) {
-            (Some(best), refined) => Some(best.or(refined)),
-            (None, refined) => refined,
-        };
+        let tried = between.iter().filter(|at_s| !times_s.contains(at_s)).map(with);
+        let Some(likeliest) = likeliest_times(windows, tried, Basis::Steps) else { break };
+        let refined = refined_times(windows, likeliest.clone(), Basis::Steps);
+        best = best.into_iter().chain(refined).reduce(Fit::or);
+        times_s = likeliest;
     }
     best
 }
@@ -216,22 +208,26 @@ fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
 /// The likeliest ramp between two constant levels, if its score may exceed `min_score`.
 fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_TRIAL_TIMES: usize = 40;
-    if Basis::Ramp([0.0; 2]).max_score(effective_count(windows)) <= min_score {
+    if Basis::Ramp(Vec::new()).max_score(effective_count(windows)) <= min_score {
         return None;
     }
-    let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
-    let tried = thinned(windows, MAX_TRIAL_TIMES);
-    let times_s: Vec<f64> = tried.map(|window| window.t_s).collect();
+    let times_s: Vec<f64> = thinned(windows, MAX_TRIAL_TIMES).map(|window| window.t_s).collect();
     let pairs = times_s.iter().enumerate();
-    let pairs = pairs.flat_map(|(at, a)| times_s[at + 1..].iter().map(move |b| [*a, *b]));
-    let fits = pairs.filter_map(|pair| Fit::new(&coarse, Basis::Ramp(pair)));
-    let best = fits.max_by(|a, b| a.score.total_cmp(&b.score))?;
-    match best.basis {
-        Basis::Ramp(times_s) => refined_times(windows, times_s.to_vec(), |times_s| {
-            Basis::Ramp([times_s[0], times_s[1]])
-        }),
-        _ => None,
-    }
+    let pairs = pairs.flat_map(|(at, a)| times_s[at + 1..].iter().map(move |b| vec![*a, *b]));
+    let likeliest = likeliest_times(windows, pairs, Basis::Ramp)?;
+    refined_times(windows, likeliest, Basis::Ramp)
+}
+
+/// The times that fit best if the latency is constant in each window.
+fn likeliest_times(
+    windows: &[Window],
+    tried: impl Iterator<Item = Vec<f64>>,
+    basis: fn(Vec<f64>) -> Basis,
+) -> Option<Vec<f64>> {
+    let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
+    let score =
+        |times_s: Vec<f64>| Some((Fit::new(&coarse, basis(times_s.clone()))?.score, times_s));
+    Some(tried.filter_map(score).max_by(|a, b| a.0.total_cmp(&b.0))?.1)
 }
 
 /// The likeliest spline between the ends of the run and evenly chosen windows whose score may exceed `min_score`.
@@ -267,7 +263,7 @@ fn fit_load(windows: &[Window], _: f64) -> Option<Fit> {
     fits.max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-fn middle_s(windows: &[Window]) -> f64 {
+pub(super) fn middle_s(windows: &[Window]) -> f64 {
     windows.first().zip(windows.last()).map_or(0.0, |(first, last)| 0.5 * (first.t_s + last.t_s))
 }
 
@@ -290,7 +286,7 @@ fn filtered_load(windows: &[Window], kind: usize, slow_s: f64) -> Vec<f64> {
 fn refined_times(
     windows: &[Window],
     mut times_s: Vec<f64>,
-    basis: impl Fn(Vec<f64>) -> Basis,
+    basis: fn(Vec<f64>) -> Basis,
 ) -> Option<Fit> {
     const SHIFTS_S: [f64; 5] = [0.8, 0.4, 0.2, 0.1, BIN_S];
     let mut best = Fit::new(windows, basis(times_s.clone()))?;
