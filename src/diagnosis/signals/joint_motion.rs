@@ -3,12 +3,12 @@
 #[cfg(test)]
 mod tests;
 
-use ground::stats::quantile;
 use ground::stats::thin::thinned;
+use ground::stats::{mean, quantile};
 use std::borrow::Cow;
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 
 use ground::robot::Limits;
@@ -100,27 +100,17 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
     const MIN_GAP_PERIODS: f64 = 4.0;
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let Some(period_s) = quantile_of(intervals, 0.5) else { return t_s.to_vec() };
-    let gap_s = MIN_GAP_PERIODS * period_s;
-    let mut segments = vec![0; t_s.len()];
-    for row in 1..t_s.len() {
-        let is_gap = t_s[row] - t_s[row - 1] > gap_s;
-        segments[row] = if is_gap { row } else { segments[row - 1] };
-    }
     let mut even_s: Vec<f64> = Vec::with_capacity(t_s.len());
-    for row in 0..t_s.len() {
-        let before = (row - segments[row]).min(NEIGHBOURS);
-        let is_same_segment = |other: &usize| segments[*other] == segments[row];
-        let after = (row + 1..t_s.len()).take(before).take_while(is_same_segment).count();
-        let mut offsets = [0.0; 2 * NEIGHBOURS + 1];
-        let offsets = &mut offsets[..2 * after + 1];
-        for (at, other) in (row - after..=row + after).enumerate() {
-            offsets[at] = t_s[other] + (row as f64 - other as f64) * period_s;
+    for segment_s in t_s.chunk_by(|a, b| b - a <= MIN_GAP_PERIODS * period_s) {
+        for row in 0..segment_s.len() {
+            let beside = row.min(segment_s.len() - 1 - row).min(NEIGHBOURS);
+            let predicted = (row - beside..=row + beside)
+                .map(|other| segment_s[other] + (row as f64 - other as f64) * period_s);
+            let at_s = quantile_of(predicted, 0.5).unwrap_or(segment_s[row]);
+            // Keep the times increasing.
+            let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
+            even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
         }
-        let middle = offsets.len() / 2;
-        let at_s = *offsets.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // Keep the times increasing.
-        let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
-        even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
     }
     even_s
 }
@@ -171,6 +161,16 @@ pub enum JointSampleKind {
     Velocities,
 }
 
+impl JointSampleKind {
+    /// Of the derivative that is an acceleration.
+    fn order(self) -> i32 {
+        match self {
+            Self::Positions => 2,
+            Self::Velocities => 1,
+        }
+    }
+}
+
 /// Largest acceleration of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeakAcceleration {
@@ -201,7 +201,6 @@ const HALF_WINDOWS: [usize; 5] = [1, 2, 4, 8, 16];
 const MIN_SERIES_SAMPLES: usize = 9;
 /// For the noise estimate, evenly spread.
 const MAX_WINDOWS: usize = 50_000;
-const BLOCK_ROWS: usize = 512;
 
 /// Largest acceleration of a joint by least squares over 3 to 33 samples (Savitzky and Golay 1964): slope
 /// of velocities or curvature of positions. The result is the acceleration that exceeds its window's noise
@@ -237,47 +236,46 @@ pub fn peak_acceleration(
         let fit = Fit::new(half, period_s, series);
         let by_steps = 0.5 * step * fit.most();
         let floor_of = |noise: f64| (MAX_NOISE_SIGMAS * noise * fit.gain()).max(by_steps);
-        let floor = floor_of(noise.all);
+        let least_floor = floor_of(noise.all);
         let window_s = 2.0 * half as f64 * period_s;
         if window_s <= MAX_STOP_S {
-            resolved = resolved.min(floor);
+            resolved = resolved.min(least_floor);
         }
-        let last = rows.saturating_sub(half);
-        for first in (half..last).step_by(BLOCK_ROWS) {
-            let mut accelerations = [0.0; BLOCK_ROWS];
-            let accelerations = &mut accelerations[..BLOCK_ROWS.min(last - first)];
-            fit.along(values, first, accelerations);
-            // Ignores NaN.
-            let largest = accelerations.iter().fold(0.0_f64, |most, a| most.max(a.abs()));
-            let excess = |best: &PeakAcceleration| best.acceleration - best.noise;
-            if surest.as_ref().is_some_and(|best| largest - floor <= excess(best)) {
+        let accelerations = fit.along(values);
+        for (row, acceleration) in (half..).zip(accelerations.iter().map(|a| a.abs())) {
+            let is_surer = |acceleration: f64, floor: f64| {
+                let excess = |best: &PeakAcceleration| best.acceleration - best.noise;
+                let surer = |best: &PeakAcceleration| acceleration - floor > excess(best);
+                acceleration.is_finite() && surest.as_ref().is_none_or(surer)
+            };
+            let is_even = uneven[row + half] == uneven[row - half];
+            if !is_even || !is_surer(acceleration, least_floor) {
                 continue;
             }
-            for (row, acceleration) in (first..).zip(accelerations.iter().map(|a| a.abs())) {
-                let is_even = uneven[row + half] == uneven[row - half];
-                let floor = floor_of(noise.at(row));
-                let is_surer = |acceleration: f64| {
-                    let surer = |best: &PeakAcceleration| acceleration - floor > excess(best);
-                    acceleration.is_finite() && surest.as_ref().is_none_or(surer)
-                };
-                if !is_even || !is_surer(acceleration) {
-                    continue;
-                }
-                // Stamps or samples may jitter; a real acceleration appears in both fits.
-                let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
-                // A real acceleration changes the speed, a stray value does not.
-                let change = speed_change(t_s, values, series, (row - half, row + half));
-                let acceleration = acceleration.min(change / (MIN_SPEED_CHANGE * window_s));
-                if is_surer(acceleration) {
-                    surest = Some(PeakAcceleration {
-                        acceleration,
-                        noise: floor,
-                        window_s,
-                        at_s: t_s[row],
-                        jerk: fit.jerk(values, row, period_s),
-                        resolved: f64::INFINITY,
-                    });
-                }
+            // The noise near the row is looked up only for the few large accelerations.
+            let floor = floor_of(noise.at(row));
+            if !is_surer(acceleration, floor) {
+                continue;
+            }
+            // Stamps or samples may jitter; a real acceleration appears in both fits.
+            let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
+            // A real acceleration changes the speed, a stray value does not.
+            let change = speed_change(t_s, values, series, (row - half, row + half));
+            let acceleration = acceleration.min(change / (MIN_SPEED_CHANGE * window_s));
+            if is_surer(acceleration, floor) {
+                // Over half a window on both sides.
+                let here = accelerations[row - half];
+                let beside = [row.checked_sub(2 * half), Some(row)].into_iter().flatten();
+                let beside = beside.filter_map(|at| accelerations.get(at));
+                let change = beside.map(|other| (other - here).abs()).fold(0.0, f64::max);
+                surest = Some(PeakAcceleration {
+                    acceleration,
+                    noise: floor,
+                    window_s,
+                    at_s: t_s[row],
+                    jerk: change / (half as f64 * period_s),
+                    resolved: f64::INFINITY,
+                });
             }
         }
     }
@@ -301,8 +299,7 @@ fn speed_change(
     // Mean time and speed.
     let mean_speed = |rows: Range<usize>| {
         let (t_s, values) = (&t_s[rows.clone()], &values[rows]);
-        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
-        let (mean_s, mean_value) = (mean(t_s), mean(values));
+        let [mean_s, mean_value] = [t_s, values].map(|of| mean(of.iter().copied()));
         let speed = match series {
             JointSampleKind::Velocities => mean_value,
             JointSampleKind::Positions => {
@@ -344,20 +341,15 @@ fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Co
     /// Between changes.
     const MIN_REST_SAMPLES: usize = 20;
     let is_change = |row: &usize| *row == 0 || values[*row] != values[*row - 1];
-    let (mut last, mut all, mut repeated) = (0, 0_u32, 0_u32);
-    for row in (0..values.len()).filter(is_change).skip(1) {
-        let gap = row - last;
-        last = row;
-        if gap < MIN_REST_SAMPLES {
-            all += 1;
-            repeated += u32::from(gap > 1);
-        }
-    }
-    if f64::from(repeated) <= MAX_REPEATED_SHARE * f64::from(all) {
+    let changes: Vec<usize> = (0..values.len()).filter(is_change).collect();
+    let gaps = changes.windows(2).map(|pair| pair[1] - pair[0]);
+    let gaps = gaps.filter(|gap| *gap < MIN_REST_SAMPLES);
+    let repeated = gaps.clone().filter(|gap| *gap > 1).count();
+    if repeated as f64 <= MAX_REPEATED_SHARE * gaps.count() as f64 {
         return (t_s.into(), values.into());
     }
-    let changes = (0..values.len()).filter(is_change);
-    let (t_s, values): (Vec<f64>, Vec<f64>) = changes.map(|row| (t_s[row], values[row])).unzip();
+    let (t_s, values): (Vec<f64>, Vec<f64>) =
+        changes.into_iter().map(|row| (t_s[row], values[row])).unzip();
     (t_s.into(), values.into())
 }
 
@@ -433,29 +425,22 @@ fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
     quantile(&mut values, part)
 }
 
-/// Least-squares acceleration over even samples.
+/// Least-squares acceleration over even samples: the derivative of this order.
 struct Fit {
     half: usize,
-    series: JointSampleKind,
+    order: i32,
     weights: Vec<f64>,
 }
 
 impl Fit {
     fn new(half: usize, period_s: f64, series: JointSampleKind) -> Self {
-        let offsets = || (0..=2 * half).map(|at| at as f64 - half as f64);
-        let weights: Vec<f64> = match series {
-            JointSampleKind::Velocities => {
-                let squares: f64 = offsets().map(|k| k * k).sum();
-                offsets().map(|k| k / (squares * period_s)).collect()
-            }
-            JointSampleKind::Positions => {
-                let mean = offsets().map(|k| k * k).sum::<f64>() / (2 * half + 1) as f64;
-                let squares: f64 = offsets().map(|k| (k * k - mean).powi(2)).sum();
-                let scale = 2.0 / (squares * period_s * period_s);
-                offsets().map(|k| scale * (k * k - mean)).collect()
-            }
-        };
-        Self { half, series, weights }
+        let order = series.order();
+        let power = |at: usize| (at as f64 - half as f64).powi(order);
+        let mean = mean((0..=2 * half).map(power));
+        let shape = |at: usize| power(at) - mean;
+        let squares: f64 = (0..=2 * half).map(|at| shape(at).powi(2)).sum();
+        let scale = f64::from(order) / (squares * period_s.powi(order));
+        Self { half, order, weights: (0..=2 * half).map(|at| scale * shape(at)).collect() }
     }
 
     /// Output for white noise of unit standard deviation.
@@ -468,61 +453,27 @@ impl Fit {
         self.weights.iter().map(|weight| weight.abs()).sum()
     }
 
-    /// At least half a window from either end.
-    fn at(&self, values: &[f64], row: usize) -> f64 {
-        let window = &values[row - self.half..=row + self.half];
-        window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
-    }
-
-    /// Same over logged stamps. NaN if these are singular.
+    /// Same at one row over logged stamps. NaN if these are singular.
     fn as_stamped(&self, t_s: &[f64], values: &[f64], row: usize) -> f64 {
-        let window = row - self.half..=row + self.half;
-        let scale = (t_s[row + self.half] - t_s[row - self.half]).max(f64::MIN_POSITIVE);
-        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-        for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
-            let x = (t - t_s[row]) / scale;
-            // Velocities need a line; three samples determine no more.
-            let curvature = if self.series == JointSampleKind::Positions { x * x } else { 0.0 };
-            let powers = Vector3::new(1.0, x, curvature);
-            normal += powers * powers.transpose();
-            right += powers * (value - values[row]);
-        }
-        if self.series == JointSampleKind::Velocities {
-            normal[(2, 2)] = 1.0;
-        }
-        let fit = normal.lu().solve(&right);
-        fit.map_or(f64::NAN, |fit| match self.series {
-            JointSampleKind::Positions => 2.0 * fit[2] / (scale * scale),
-            JointSampleKind::Velocities => fit[1] / scale,
-        })
+        let Self { half, order, .. } = *self;
+        let first = row - half;
+        let scale = (t_s[row + half] - t_s[first]).max(f64::MIN_POSITIVE);
+        let (rows, width) = (2 * half + 1, order as usize + 1);
+        let power =
+            |at: usize, power: usize| ((t_s[first + at] - t_s[row]) / scale).powi(power as i32);
+        let powers = DMatrix::from_fn(rows, width, power);
+        let values = DVector::from_fn(rows, |at, _| values[first + at] - values[row]);
+        let fit = powers.tr_mul(&powers).lu().solve(&powers.tr_mul(&values));
+        fit.map_or(f64::NAN, |fit| f64::from(order) * fit[width - 1] / scale.powi(order))
     }
 
-    /// Accelerations at consecutive rows from `first`.
-    fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
-        let count = accelerations.len();
-        let shifted = |place: usize| &values[first - self.half + place..][..count];
-        let middle = self.weights[self.half];
-        for (sum, value) in accelerations.iter_mut().zip(shifted(self.half)) {
-            *sum = middle * value;
+    /// Accelerations at all rows but `half` at either end.
+    fn along(&self, values: &[f64]) -> Vec<f64> {
+        let mut accelerations = vec![0.0; values.len().saturating_sub(2 * self.half)];
+        for (place, weight) in self.weights.iter().enumerate() {
+            let shifted = values.get(place..).unwrap_or_default();
+            accelerations.iter_mut().zip(shifted).for_each(|(sum, value)| *sum += weight * value);
         }
-        // Coefficients are symmetric or antisymmetric.
-        for place in 0..self.half {
-            let mirrored = self.weights.len() - 1 - place;
-            let (weight, sign) = (self.weights[mirrored], self.weights[place].signum());
-            let sign = sign * weight.signum();
-            let pairs = shifted(place).iter().zip(shifted(mirrored));
-            for (sum, (before, after)) in accelerations.iter_mut().zip(pairs) {
-                *sum += weight * (after + sign * before);
-            }
-        }
-    }
-
-    /// Largest change over half a window, per second.
-    fn jerk(&self, values: &[f64], row: usize, period_s: f64) -> f64 {
-        let here = self.at(values, row);
-        let beside = [row.checked_sub(self.half), Some(row + self.half)].into_iter().flatten();
-        let inside = beside.filter(|at| *at >= self.half && at + self.half < values.len());
-        let change = inside.map(|at| (self.at(values, at) - here).abs()).fold(0.0, f64::max);
-        change / (self.half as f64 * period_s)
+        accelerations
     }
 }
