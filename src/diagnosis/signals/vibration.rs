@@ -1,6 +1,6 @@
 //! Vibration of a path: power above the commanded motion, in excess of noise.
 
-use ground::stats::{median, quantile};
+use ground::stats::{mean, median, quantile};
 use std::f64::consts::TAU;
 
 use realfft::RealFftPlanner;
@@ -72,35 +72,34 @@ pub fn estimate_vibration(
     let length = (WINDOW_S * rate_hz).round() as usize;
     let hop = length / 2;
     let block = length + hop;
-    let starts = || (0..(t_s.len() + 1).saturating_sub(block)).step_by(length);
-    let stride = (starts().len() * block).div_ceil(MAX_POSITIONS).max(1);
-    let is_even = |start: usize| {
-        let mut steps =
-            t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
-        steps.all(|step| (0.5..1.5).contains(&step))
-    };
     // Stamps a nanosecond apart would need a huge FFT.
     if t_s.len() < block {
         return Err(VibrationFailure::Uneven);
     }
+    let starts = (0..t_s.len() + 1 - block).step_by(length);
+    let stride = (starts.len() * block).div_ceil(MAX_POSITIONS).max(1);
     let mut spectrum = Spectrum::new(length, rate_hz);
     let mut strongest: Option<Vibration> = None;
-    for start in starts().step_by(stride).filter(|&start| is_even(start)) {
+    for start in starts.step_by(stride) {
+        let times = &t_s[start..start + block];
+        let mut intervals = times.windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
+        if !intervals.clone().all(|interval| (0.5..1.5).contains(&interval)) {
+            continue;
+        }
+        let has_jitter = intervals.any(|interval| (interval - 1.0).abs() > MAX_INTERVAL_DEVIATION);
         let mut path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
         remove_step(&mut path);
         let work = work_m.map(|at| (start..start + block).map(at).collect::<Vec<Vec3>>());
         let mut of = |path: &[Vec3], work: Option<&[Vec3]>| {
-            let work = |from: usize| Some(&work?[from..from + length]);
-            let first = spectrum.vibration_in_window(&path[..length], work(0), t_s[start + hop]);
-            let second = spectrum.vibration_in_window(&path[hop..], work(hop), t_s[start + length]);
+            let [first, second] = [(0, hop), (hop, length)].map(|(from, middle)| {
+                let window = from..from + length;
+                let work = work.map(|work| &work[window.clone()]);
+                spectrum.vibration_in_window(&path[window], work, times[middle])
+            });
             if first.rms_m < second.rms_m { first } else { second }
         };
         let mut weakest = of(&path, work.as_deref());
         // Stamps or samples may jitter; real vibration appears in both.
-        let times = &t_s[start..start + block];
-        let has_jitter = times
-            .windows(2)
-            .any(|pair| ((pair[1] - pair[0]) / period_s - 1.0).abs() > MAX_INTERVAL_DEVIATION);
         if weakest.rms_m > 0.0 && has_jitter {
             let work = work.map(|work| resample_evenly(times, &work));
             let as_stamped = of(&resample_evenly(times, &path), work.as_deref());
@@ -157,18 +156,14 @@ pub fn vibration_path(
     if length < 8 || times[length - 1] - times[0] > 1.5 * WINDOW_S {
         return None;
     }
-    let path: Vec<Vec3> = (start..start + length).map(&mut position_m).collect();
+    let mut path: Vec<Vec3> = (start..start + length).map(&mut position_m).collect();
     let mut spectrum = Spectrum::new(length, 1.0 / period_s);
     let power = spectrum.power(&path).into_iter().enumerate().skip(1);
     let lines = power.map(|(bin, power)| [bin as f64 * spectrum.bin_hz, power.sqrt()]);
-    let axes = [0, 1, 2].map(|axis| {
-        let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
-        remove_parabola(&mut values);
-        values
-    });
-    let size = |values: &Vec<f64>| values.iter().map(|value| value * value).sum::<f64>();
-    let most = axes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
-    let trace = times.iter().zip(most).map(|(&t_s, value)| [t_s, value]);
+    remove_parabola(&mut path);
+    let size = |axis: &usize| path.iter().map(|point| point[*axis].powi(2)).sum::<f64>();
+    let most = (0..3).max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let trace = times.iter().zip(&path).map(|(&t_s, point)| [t_s, point[most]]);
     Some(VibrationPath { spectrum: lines.collect(), trace: trace.collect() })
 }
 
@@ -222,16 +217,17 @@ impl Spectrum {
     fn power(&mut self, path: &[Vec3]) -> Vec<f64> {
         let length = path.len();
         let mut power = vec![0.0; length / 2 + 1];
+        let mut detrended = path.to_vec();
+        remove_parabola(&mut detrended);
+        // Both signs of a frequency, so powers sum to the mean square (Parseval).
+        let scale = 2.0 / (length as f64).powi(2);
         for axis in 0..3 {
-            let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
-            remove_parabola(&mut values);
-            values.iter_mut().zip(&self.taper).for_each(|(value, taper)| *value *= taper);
+            let tapered =
+                detrended.iter().zip(&self.taper).map(|(point, taper)| point[axis] * taper);
             let mut bins = self.plan.make_output_vec();
-            if self.plan.process(&mut values, &mut bins).is_err() {
-                return vec![0.0; length / 2 + 1];
-            }
-            // Both signs of a frequency, so powers sum to the mean square (Parseval).
-            let scale = 2.0 / (length as f64).powi(2);
+            // Fails only if the length differs from that planned.
+            let done = self.plan.process(&mut tapered.collect::<Vec<f64>>(), &mut bins);
+            debug_assert!(done.is_ok());
             power.iter_mut().zip(&bins).for_each(|(power, bin)| *power += scale * bin.norm_sqr());
         }
         power
@@ -309,22 +305,18 @@ fn remove_step(path: &mut [Vec3]) {
 }
 
 /// Uses orthogonal Legendre polynomials.
-fn remove_parabola(values: &mut [f64]) {
-    let middle = (values.len() as f64 - 1.0) / 2.0;
-    let count = values.len() as f64;
+fn remove_parabola(path: &mut [Vec3]) {
+    let middle = (path.len() as f64 - 1.0) / 2.0;
     let at = |row: usize| row as f64 - middle;
-    let mean_square = (0..values.len()).map(|row| at(row).powi(2)).sum::<f64>() / count;
+    let mean_square = mean((0..path.len()).map(|row| at(row).powi(2)));
     let shapes: [&dyn Fn(f64) -> f64; 3] = [&|_| 1.0, &|x| x, &|x| x * x - mean_square];
     for shape in shapes {
-        let (mut along, mut own) = (0.0, 0.0);
-        for (row, value) in values.iter().enumerate() {
-            let shape = shape(at(row));
-            along += shape * value;
-            own += shape * shape;
-        }
+        let shape: Vec<f64> = (0..path.len()).map(|row| shape(at(row))).collect();
+        let along: Vec3 = shape.iter().zip(&*path).map(|(shape, point)| *shape * point).sum();
+        let own: f64 = shape.iter().map(|shape| shape * shape).sum();
         if own > 0.0 {
             let part = along / own;
-            values.iter_mut().enumerate().for_each(|(row, value)| *value -= part * shape(at(row)));
+            path.iter_mut().zip(&shape).for_each(|(point, shape)| *point -= part * *shape);
         }
     }
 }
