@@ -6,10 +6,9 @@
 
 use crate::NotObservable;
 use ground::stats::{Measured, median};
-use nalgebra::DMatrix;
+use ground::stream::bracket;
+use nalgebra::{DMatrix, Matrix6, Vector6};
 use std::sync::OnceLock;
-
-const MAX_COLUMNS: usize = 6;
 
 /// One column or groups of three. Times are in s from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
@@ -22,13 +21,13 @@ pub(crate) struct TimeSeries {
     longest_s: f64,
 }
 
-/// Changes over time windows.
+/// Changes over time windows, of up to six columns.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ResponseChanges {
     /// Start and end, s.
     pub windows: Vec<(f64, f64)>,
-    /// One per window and column.
-    pub changes: Vec<[f64; MAX_COLUMNS]>,
+    /// One per window; zero beyond the columns.
+    pub changes: Vec<Vector6<f64>>,
     /// Number of columns.
     pub width: usize,
     /// Computed on first use.
@@ -79,29 +78,20 @@ impl TimeSeries {
     }
 
     /// Cubic Hermite. `None` outside the series and in gaps.
-    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
-        let times = &self.t_s;
-        let is_before =
-            |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
-        let search = || {
-            let next = times.partition_point(|&t| t <= t_s);
-            Some(next.checked_sub(1)?.min(times.len().checked_sub(2)?))
-        };
-        let before = (*cursor..*cursor + 3).find(|&at| is_before(at)).or_else(search)?;
-        *cursor = before;
-        let (from_s, to_s) = (times[before], times[before + 1]);
-        let length_s = to_s - from_s;
-        let is_covered = t_s <= to_s && length_s <= self.longest_s;
-        is_covered.then(|| {
-            let mut values = [0.0; MAX_COLUMNS];
-            let columns = self.columns.iter().zip(&self.slopes);
-            for (value, (column, slopes)) in values.iter_mut().zip(columns) {
-                let ends = |of: &[f64]| [of[before], of[before + 1]];
-                let slopes = ends(slopes).map(|slope| slope * length_s);
-                *value = hermite((t_s - from_s) / length_s, ends(column), slopes);
-            }
-            values
-        })
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<Vector6<f64>> {
+        let before = bracket(&self.t_s, t_s, cursor)?;
+        let from_s = self.t_s[before];
+        let length_s = self.t_s[before + 1] - from_s;
+        let part = (t_s - from_s) / length_s;
+        let mut values = Vector6::zeros();
+        for (value, (column, slopes)) in
+            values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
+        {
+            let ends = |of: &[f64]| [of[before], of[before + 1]];
+            let slopes = ends(slopes).map(|slope| slope * length_s);
+            *value = hermite(part, ends(column), slopes);
+        }
+        (length_s <= self.longest_s).then_some(values)
     }
 
     /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
@@ -153,21 +143,13 @@ pub(crate) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     (0..values.len()).map(at).collect()
 }
 
-#[derive(Default)]
 struct DelayFit {
-    /// Per group of columns: response = gains · reference.
-    gains: Vec<DMatrix<f64>>,
+    /// Response = gains · reference, within each group of columns.
+    gains: Matrix6<f64>,
     /// Over the windows used.
-    residual_squares: f64,
-    total_squares: f64,
+    unexplained_share: f64,
     /// Windows covered by the reference.
     used: usize,
-}
-
-impl DelayFit {
-    fn unexplained_share(&self) -> f64 {
-        if self.total_squares > 0.0 { self.residual_squares / self.total_squares } else { 1.0 }
-    }
 }
 
 impl WindowEnds {
@@ -203,7 +185,7 @@ impl ResponseChanges {
             let (last, next) = (after(window_s), after(stride_s).max(first + 1));
             let is_whole = t_s.get(last).is_some_and(|&to_s| to_s - t_s[first] < 1.5 * window_s);
             if is_whole {
-                let mut by = [0.0; MAX_COLUMNS];
+                let mut by = Vector6::zeros();
                 by.iter_mut().zip(columns).for_each(|(by, of)| *by = of[last] - of[first]);
                 changes.windows.push((t_s[first], t_s[last]));
                 changes.changes.push(by);
@@ -219,53 +201,47 @@ impl ResponseChanges {
     }
 
     /// Reference changes over windows `delay_s` earlier.
-    pub fn references(
-        &self,
-        reference: &TimeSeries,
-        delay_s: f64,
-    ) -> Vec<Option<[f64; MAX_COLUMNS]>> {
+    pub fn references(&self, reference: &TimeSeries, delay_s: f64) -> Vec<Option<Vector6<f64>>> {
         let WindowEnds { t_s, of_window } =
             self.ends.get_or_init(|| WindowEnds::new(&self.windows));
         let mut cursor = 0;
         let at: Vec<_> = t_s.iter().map(|t_s| reference.at(t_s - delay_s, &mut cursor)).collect();
-        let change = |&[from, to]: &[usize; 2]| {
-            let (before, after) = (at[from].as_ref()?, at[to].as_ref()?);
-            Some(std::array::from_fn(|column| after[column] - before[column]))
-        };
+        let change = |&[from, to]: &[usize; 2]| Some(at[to]? - at[from]?);
         of_window.iter().map(change).collect()
     }
 
-    fn fit(&self, references: &[Option<[f64; MAX_COLUMNS]>]) -> DelayFit {
+    fn fit(&self, references: &[Option<Vector6<f64>>]) -> DelayFit {
         let size = self.group();
-        let used = references.iter().flatten().count();
-        let mut fit = DelayFit { used, ..DelayFit::default() };
+        let (mut normal, mut right) = (Matrix6::zeros(), Matrix6::zeros());
+        let (mut total, mut used) = (Vector6::zeros(), 0);
+        for (by, reference) in self.changes.iter().zip(references) {
+            let Some(reference) = reference else { continue };
+            normal.ger(1.0, reference, reference, 1.0);
+            right.ger(1.0, reference, by, 1.0);
+            total += by.component_mul(by);
+            used += 1;
+        }
+        let mut gains = Matrix6::zeros();
+        let mut residual = 0.0;
         for first in (0..self.width).step_by(size) {
-            let mut normal = DMatrix::<f64>::zeros(size, size);
-            let mut right = DMatrix::<f64>::zeros(size, size);
-            let mut total = 0.0;
-            for (by, reference) in self.changes.iter().zip(references) {
-                let Some(reference) = reference else { continue };
-                for a in 0..size {
-                    total += by[first + a] * by[first + a];
-                    for b in 0..size {
-                        normal[(a, b)] += reference[first + a] * reference[first + b];
-                        right[(a, b)] += reference[first + a] * by[first + b];
-                    }
-                }
-            }
+            let group = ((first, first), (size, size));
+            let [normal, right] =
+                [&normal, &right].map(|all| all.view(group.0, group.1).into_owned());
             // Columns without motion have no gain.
             let ridge = 1e-9 * normal.trace() + f64::MIN_POSITIVE;
             let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
-            let mut gains = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
+            let mut own = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
             if size == 1 {
                 // No negative gain: it fits a periodic signal half a period late.
-                gains[(0, 0)] = gains[(0, 0)].max(0.0);
+                own[(0, 0)] = own[(0, 0)].max(0.0);
             }
-            fit.total_squares += total;
-            fit.residual_squares += (total - gains.component_mul(&right).sum()).max(0.0);
-            fit.gains.push(gains.transpose());
+            let total = total.rows(first, size).sum();
+            residual += (total - own.component_mul(&right).sum()).max(0.0);
+            gains.view_mut(group.0, group.1).copy_from(&own.transpose());
         }
-        fit
+        let total = total.sum();
+        let unexplained_share = if total > 0.0 { residual / total } else { 1.0 };
+        DelayFit { gains, unexplained_share, used }
     }
 
     fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
@@ -275,7 +251,7 @@ impl ResponseChanges {
     /// 1 if the reference covers too few windows.
     fn unexplained_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
         let fit = self.fit_at(reference, delay_s);
-        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.unexplained_share() }
+        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.unexplained_share }
     }
 
     /// Best delay between `low` and `high`, s (golden section search).
@@ -314,14 +290,14 @@ impl ResponseChanges {
         let fit = self.fit(&references);
         let [before, after] =
             [-STEP_S, STEP_S].map(|step_s| self.references(reference, delay_s + step_s));
-        let slope = |row: usize| -> Option<[f64; MAX_COLUMNS]> {
-            let (before, after) = (before[row]?, after[row]?);
-            Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
-        };
+        let slopes = before.iter().zip(&after);
+        let slopes = slopes.map(|(before, after)| Some(((*after)? - (*before)?) / (2.0 * STEP_S)));
+        let slopes: Vec<Option<Vector6<f64>>> = slopes.collect();
         // Onto the complement of the gains.
-        let predicted_slope =
-            |row| slope(row).map_or([0.0; MAX_COLUMNS], |slope| self.predicted(&fit, &slope));
-        let changes = (0..self.changes.len()).map(predicted_slope).collect();
+        let predicted_slope = |slope: &Option<Vector6<f64>>| {
+            slope.map_or(Vector6::zeros(), |slope| fit.gains * slope)
+        };
+        let changes = slopes.iter().map(predicted_slope).collect();
         let sloped = ResponseChanges { changes, ..self.clone() };
         let sloped_fit = sloped.fit(&references);
         let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
@@ -330,16 +306,12 @@ impl ResponseChanges {
         let block_s = ((last.1 - first.0) / MAX_BLOCKS).max(MIN_BLOCK_S);
         let (mut information, mut blocks) = (0.0, std::collections::BTreeMap::new());
         for (row, reference) in references.iter().enumerate() {
-            let (Some(reference), Some(_)) = (reference, slope(row)) else { continue };
-            let predicted = self.predicted(&fit, reference);
-            let predicted_later = self.predicted(&sloped_fit, reference);
+            let (Some(reference), Some(_)) = (reference, slopes[row]) else { continue };
+            let change = sloped.changes[row] - sloped_fit.gains * reference;
+            let residual = self.changes[row] - fit.gains * reference;
             let block = ((self.windows[row].0 - first.0) / block_s) as u64;
-            for at in 0..self.width {
-                let change = sloped.changes[row][at] - predicted_later[at];
-                information += change * change;
-                *blocks.entry(block).or_insert(0.0) +=
-                    change * (self.changes[row][at] - predicted[at]);
-            }
+            information += change.norm_squared();
+            *blocks.entry(block).or_insert(0.0) += change.dot(&residual);
         }
         let count = blocks.len() as f64;
         if count < 4.0 || information <= 0.0 {
@@ -349,18 +321,15 @@ impl ResponseChanges {
         ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
     }
 
-    fn predicted(&self, fit: &DelayFit, reference: &[f64; MAX_COLUMNS]) -> [f64; MAX_COLUMNS] {
-        let size = self.group();
-        std::array::from_fn(|at| {
-            let Some(gains) = fit.gains.get(at / size) else { return 0.0 };
-            (0..size).map(|b| gains[(at % size, b)] * reference[at - at % size + b]).sum()
-        })
+    /// Diagonal gains, over all columns.
+    fn mean_gain(&self, fit: &DelayFit) -> f64 {
+        fit.gains.trace() / self.width.max(1) as f64
     }
 
     /// Gain at zero delay, and unexplained share.
     pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
         let fit = self.fit_at(reference, 0.0);
-        (mean_gain(&fit), fit.unexplained_share())
+        (self.mean_gain(&fit), fit.unexplained_share)
     }
 
     /// Response to `reference`, for delays within ±`max_delay_s`.
@@ -416,7 +385,7 @@ impl ResponseChanges {
         Ok(Response {
             delay_s: Measured { value: delay_s + low_pass_s, std_error, dof },
             low_pass_s,
-            gain: mean_gain(&self.fit_at(reference, delay_s)),
+            gain: self.mean_gain(&self.fit_at(reference, delay_s)),
             explained: 1.0 - residuals,
         })
     }
@@ -473,12 +442,6 @@ impl ResponseChanges {
         let is_causal = best.1 > -0.25 * best.0 - 2e-3;
         if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
     }
-}
-
-/// Diagonal gains, over all columns.
-fn mean_gain(fit: &DelayFit) -> f64 {
-    let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
-    fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64
 }
 
 #[cfg(test)]

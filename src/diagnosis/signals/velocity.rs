@@ -8,6 +8,7 @@ use crate::samples::sampling::{check_sample_count, range_of, row_blocks};
 use crate::{NotObservable, Response};
 use ground::stats::{Measured, mean, quantile};
 use ground::stream::sample_noise;
+use nalgebra::Vector6;
 
 /// Samples of one joint.
 #[derive(Clone, Copy, Debug)]
@@ -283,7 +284,7 @@ fn changes_over_windows(
     for (&window, by) in all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
     {
         changes.windows.push(window);
-        changes.changes.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
+        changes.changes.push(Vector6::ith(0, by[0]));
         moved.push(by[2]);
         square += (0.5 * (by[0] - by[1])).powi(2);
     }
@@ -312,7 +313,7 @@ fn shape(
     // As a share of the response's energy.
     let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise).min(0.5 * square) / square;
     let signed = |sign: f64| {
-        let by = changes.changes.iter().map(|by| by.map(|by| sign * by)).collect();
+        let by = changes.changes.iter().map(|by| sign * by).collect();
         ResponseChanges { changes: by, ..changes.clone() }
     };
     let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();

@@ -16,5 +16,6 @@ pub use columns::{
 pub use encoder_tick::{encoder_tick, is_whole};
 pub use times::{SharedTimes, Times};
 pub use tracks::{
-    DeclaredUnits, ImuTrack, JointSequence, JointTrack, Orientations, PoseTrack, sample_noise,
+    DeclaredUnits, ImuTrack, JointSequence, JointTrack, Orientations, PoseTrack, bracket,
+    sample_noise,
 };

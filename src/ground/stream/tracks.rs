@@ -164,8 +164,8 @@ impl JointSequence<'_> {
     }
 }
 
-/// `i` with `t[i] ≤ t_s ≤ t[i+1]`; `None` outside `t`.
-fn bracket(t: &[f64], t_s: f64, last_left: &mut usize) -> Option<usize> {
+/// `i` with `t[i] ≤ t_s ≤ t[i+1]`, fastest near the last one; `None` outside `t`.
+pub fn bracket(t: &[f64], t_s: f64, last_left: &mut usize) -> Option<usize> {
     let last = t.len().checked_sub(1)?;
     if last == 0 || !(t[0]..=t[last]).contains(&t_s) {
         return None;
