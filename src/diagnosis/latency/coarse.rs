@@ -11,7 +11,8 @@ use super::ramp::RampFit;
 use super::speed_residual::{
     MAX_SPEED_RESIDUAL_SHARE, fit_rows, squared_deviation, squared_residual,
 };
-use super::steps::{LatencySteps, detect_steps};
+use super::steps::detect_steps;
+use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{ImuStream, PoseStream};
 use ground::stats::{median, quantile};
 use ground::stream::{JointTrack, Orientations};
@@ -22,38 +23,51 @@ const MAX_RESIDUAL_RATIO: f64 = 0.9;
 /// Of the latency. A profile shows smaller variations.
 pub(super) const MIN_VARIATION_S: f64 = 0.035;
 
-/// Large latency change within the run.
+/// Large latency change within the run: steps between constant levels, or piecewise linear.
 #[derive(Clone, Debug, PartialEq)]
-pub enum CoarseLatencyChange {
-    /// Steps between constant levels.
-    Steps(LatencySteps),
-    /// Piecewise linear latency.
-    Ramp(PiecewiseLatency),
+pub struct CoarseLatencyChange {
+    /// At the stamps.
+    pub latency: PiecewiseLatency,
+    /// Time of each step, and by how much the levels overlap there, or leave a gap, s. Empty for a piecewise linear
+    /// latency.
+    pub steps: Vec<(f64, f64)>,
 }
 
 impl CoarseLatencyChange {
-    /// Compensated stamps, each with its row.
+    /// Piecewise linear.
+    pub fn ramp(latency: PiecewiseLatency) -> Self {
+        Self { latency, steps: Vec::new() }
+    }
+
+    pub fn has_steps(&self) -> bool {
+        !self.steps.is_empty()
+    }
+
+    /// Whether a stamp belongs to one level.
+    pub fn is_far_from_steps(&self, t_s: f64) -> bool {
+        self.steps.iter().all(|(at_s, overlap_s)| (t_s - at_s).abs() > *overlap_s)
+    }
+
+    /// Start and lag of each level between steps, s. The first starts at −∞.
+    pub fn levels(&self) -> Vec<(f64, f64)> {
+        let starts_s = self.steps.iter().map(|step| step.0);
+        let starts_s = std::iter::once(f64::NEG_INFINITY).chain(starts_s);
+        starts_s.map(|from_s| (from_s, self.latency.at(from_s))).collect()
+    }
+
+    /// Lag that remains when the change is removed, s: that of the level with the smallest one.
+    pub fn retained_s(&self) -> f64 {
+        let lags_s = self.levels().into_iter().map(|level| level.1);
+        let least_s = lags_s.min_by(|a, b| a.abs().total_cmp(&b.abs()));
+        least_s.filter(|_| self.has_steps()).unwrap_or(0.0)
+    }
+
+    /// Compensated stamps, each with its row. Drops rows near a step and rows that would be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        match self {
-            Self::Steps(steps) => steps.compensated(t_s),
-            Self::Ramp(ramp) => ramp.compensated(t_s),
-        }
-    }
-
-    /// The steps, if any.
-    pub fn steps(&self) -> Option<&LatencySteps> {
-        match self {
-            Self::Steps(steps) => Some(steps),
-            Self::Ramp(_) => None,
-        }
-    }
-
-    /// The piecewise linear latency, if any.
-    pub fn ramp(&self) -> Option<&PiecewiseLatency> {
-        match self {
-            Self::Steps(_) => None,
-            Self::Ramp(ramp) => Some(ramp),
-        }
+        let retained_s = self.retained_s();
+        let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_far_from_steps(**t_s));
+        let compensated_s = |t_s: f64| t_s - (self.latency.at(t_s) - retained_s);
+        monotonic_rows(clear.map(|(row, t_s)| (row, compensated_s(*t_s))))
     }
 }
 
@@ -116,23 +130,26 @@ fn detect_changes(
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
     let followed: Vec<&LagWindow> =
         windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
-    let steps =
-        detect_steps(arm, stream, &followed).filter(|steps| steps.swing_s() >= MIN_VARIATION_S);
+    let is_large = |latency: &PiecewiseLatency| {
+        value_range(latency.knots.iter().map(|knot| knot.1)) >= MIN_VARIATION_S
+    };
+    let steps = detect_steps(arm, stream, &followed).filter(|steps| is_large(&steps.latency));
     let Some(RampFit { ramp, residual, line_residual }) =
         PiecewiseLatency::fit_windows(arm, stream, &followed)
     else {
-        return steps.map(CoarseLatencyChange::Steps);
+        return steps;
     };
     let spread = squared_deviation(stream, &fit_rows(stream));
-    let of_steps = |steps: &LatencySteps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s));
+    let of_steps =
+        |steps: &CoarseLatencyChange| squared_residual(arm, stream, &|t_s| steps.latency.at(t_s));
     let steps_residual = steps.as_ref().map_or(f64::INFINITY, of_steps);
     // Linear growth is skew, not steps.
     let steps = steps.filter(|_| steps_residual < line_residual);
     let is_ramp =
         residual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * line_residual);
     match is_ramp && residual <= steps_residual {
-        true => Some(CoarseLatencyChange::Ramp(ramp)),
-        false => steps.map(CoarseLatencyChange::Steps),
+        true => Some(CoarseLatencyChange::ramp(ramp)),
+        false => steps,
     }
 }
 
@@ -181,7 +198,7 @@ pub(crate) mod tests {
             let late =
                 |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
             let found = changed(late);
-            let ramp = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
+            let ramp = found.filter(|it| !it.has_steps()).expect("it ramps").latency;
             for t_s in (1..39).map(f64::from) {
                 let off_s = ramp.at(t_s) - late(t_s);
                 assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");

@@ -3,7 +3,6 @@
 use crate::arm::diagnose_arm;
 use crate::arm_run::ArmRun;
 use crate::imu::diagnose_converted_imu;
-use crate::latency::steps::LatencySteps;
 use crate::residuals::comparison::residual_of_shares_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
@@ -33,8 +32,8 @@ impl CompensatedRun {
             changes if changes == coarse.changes => coarse,
             changes => CoarselyCompensated::new(run, changes).confirmed(run),
         };
-        let steps = changes.iter().map(|it| it.as_ref().and_then(CoarseLatencyChange::steps));
-        let steps: Vec<Option<&LatencySteps>> = steps.collect();
+        let steps = changes.iter().map(|it| it.as_ref().filter(|it| it.has_steps()));
+        let steps: Vec<Option<&CoarseLatencyChange>> = steps.collect();
         // Ramps stay in the estimated profile; only steps are removed.
         let step_free = tracks_with_stamps(run.streams, |s, t_s| Some(steps[s]?.compensated(t_s)));
         let streams = with_tracks(run.streams, &step_free);
@@ -69,7 +68,7 @@ impl CoarselyCompensated {
             tracks_with_stamps(run.streams, |s, t_s| Some(changes[s].as_ref()?.compensated(t_s)));
         let mut streams = with_tracks(run.streams, &tracks);
         for (stream, change) in streams.iter_mut().zip(&changes) {
-            stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
+            stream.removed_ramp = removed_ramp(change);
         }
         let diagnosis = diagnose_arm(run.joints, &streams, run.max_lag_s);
         Self { changes, diagnosis }
@@ -145,7 +144,7 @@ impl CoarselyCompensated {
 
 /// Whether a change is not a ramp of a stream whose latency is constant: its speeds differ for another reason.
 fn is_confirmed(change: &CoarseLatencyChange, profile: &EstimateResult<LatencyProfile>) -> bool {
-    change.ramp().is_none() || profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
+    change.has_steps() || profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
 }
 
 /// The estimated latency, unless the change has steps.
@@ -155,15 +154,21 @@ fn with_profile(
 ) -> Option<CoarseLatencyChange> {
     let varies = |it: &&LatencyProfile| it.is_unsteady && it.levels.knots.len() > 1;
     match (change, profile.as_ref().ok().filter(varies)) {
-        (Some(CoarseLatencyChange::Steps(_)), _) | (_, None) => change.clone(),
-        (_, Some(profile)) => Some(CoarseLatencyChange::Ramp(profile.levels.clone())),
+        (Some(change), Some(_)) if change.has_steps() => Some(change.clone()),
+        (_, Some(profile)) => Some(CoarseLatencyChange::ramp(profile.levels.clone())),
+        (_, None) => change.clone(),
     }
+}
+
+/// The latency, unless it steps.
+fn removed_ramp(change: &Option<CoarseLatencyChange>) -> Option<&PiecewiseLatency> {
+    Some(&change.as_ref().filter(|it| !it.has_steps())?.latency)
 }
 
 /// Profile with the removed steps, or relative to the typical latency at the stamps.
 fn reported_profile(
     found: &EstimateResult<LatencyProfile>,
-    steps: Option<&LatencySteps>,
+    steps: Option<&CoarseLatencyChange>,
     t_s: &[f64],
 ) -> EstimateResult<LatencyProfile> {
     match (found, steps) {
@@ -222,8 +227,8 @@ pub fn diagnose_imu_with_latency_compensation(
     };
     let t_s = &stream.track.t_s;
     let diagnose_with = |change: &Option<CoarseLatencyChange>| match change {
-        Some(change) => {
-            diagnosed(&imu_with_rows(stream.track, &change.compensated(t_s)), change.ramp())
+        Some(it) => {
+            diagnosed(&imu_with_rows(stream.track, &it.compensated(t_s)), removed_ramp(change))
         }
         None => diagnosed(stream.track, None),
     };
@@ -239,7 +244,7 @@ pub fn diagnose_imu_with_latency_compensation(
         diagnosis = diagnose_with(&None);
     }
     // As for poses, only steps are removed.
-    let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
+    let steps = change.as_ref().filter(|it| it.has_steps());
     let latency_profile = reported_profile(&diagnosis.latency_profile, steps, t_s);
     let unsteady = diagnosis.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
     let Some(unsteady) = unsteady else {

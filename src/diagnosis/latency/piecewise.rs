@@ -1,7 +1,5 @@
 //! Piecewise linear latency of a stream, which may also step.
 
-use crate::samples::sampling::monotonic_rows;
-
 /// Piecewise linear latency of a stream, constant before the first knot and after the last one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PiecewiseLatency {
@@ -25,11 +23,6 @@ impl PiecewiseLatency {
             (Some((_, nearest)), None) | (None, Some((_, nearest))) => nearest,
             (None, None) => 0.0,
         }
-    }
-
-    /// Compensated stamps, each with its row. Drops rows that would be out of order.
-    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        monotonic_rows(t_s.iter().map(|t_s| t_s - self.at(*t_s)).enumerate())
     }
 
     /// Logged stamp of a compensated one, s.

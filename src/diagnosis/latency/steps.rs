@@ -1,6 +1,7 @@
 //! Large latency steps: assigns a candidate lag to each time, minimising speed differences plus a price per
 //! step (Viterbi 1967).
 
+use super::coarse::CoarseLatencyChange;
 use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
 use super::piecewise::PiecewiseLatency;
@@ -8,7 +9,7 @@ use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{
     MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
 };
-use crate::samples::sampling::{monotonic_rows, rows_within, value_range};
+use crate::samples::sampling::rows_within;
 use crate::{EstimateResult, Measured};
 use ground::stats::parabola_minimum;
 use ground::stats::thin::thinned;
@@ -22,28 +23,12 @@ const COARSE_STD_ERROR_S: f64 = 2e-3;
 /// After the steps, relative to the best constant lag.
 const MAX_RESIDUAL_RATIO: f64 = 0.35;
 
-/// Levels of a latency with steps.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LatencySteps {
-    /// At least two; the first starts at −∞.
-    levels: Vec<Level>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Level {
-    /// Stamp, s from the run's origin.
-    from_s: f64,
-    lag_s: f64,
-    /// Interval before the first stamp, s. As long as the step if only the clock was set forward.
-    gap_s: f64,
-}
-
 /// Latency steps, from the lags in `followed`.
 pub(crate) fn detect_steps(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
     followed: &[&LagWindow],
-) -> Option<LatencySteps> {
+) -> Option<CoarseLatencyChange> {
     let mut lags = candidate_lags(followed);
     let after_leaps: Vec<f64> = forward_leaps_s(stream)
         .into_iter()
@@ -81,7 +66,11 @@ fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     groups.into_iter().take(MAX_LAGS).filter_map(best).collect()
 }
 
-fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<LatencySteps> {
+fn assign_lags(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    lags: &[f64],
+) -> Option<CoarseLatencyChange> {
     /// Price of a step, as a duration of the smallest speed difference.
     const STEP_PRICE_S: f64 = 10.0;
     let rows = fit_rows(stream);
@@ -92,37 +81,47 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
     let best: f64 = (0..rows.len()).map(min_difference).sum();
     let span_s = (end_s - begin_s).max(f64::MIN_POSITIVE);
     let path = cheapest_path(&costs, (STEP_PRICE_S * best / span_s).max(f64::MIN_POSITIVE))?;
-    let mut levels: Vec<(f64, usize, f64)> = vec![(f64::NEG_INFINITY, path[0], 0.0)];
-    for row in 1..rows.len() {
-        if path[row] != path[row - 1] {
-            let gap_s = |at: &usize| stream.t_s[*at] - stream.t_s[*at - 1];
-            let between = rows[row - 1] + 1..=rows[row];
-            let begin = between.max_by(|a, b| gap_s(a).total_cmp(&gap_s(b))).unwrap_or(rows[row]);
-            levels.push((stream.t_s[begin], path[row], gap_s(&begin)));
-        }
-    }
+    let gap_s = |row: &usize| stream.t_s[*row] - stream.t_s[*row - 1];
+    // Start of each level, its lag and the interval before it. As long as the step if only the clock was set forward.
+    let step = |at: usize| {
+        let between = rows[at - 1] + 1..=rows[at];
+        let begin = between.max_by(|a, b| gap_s(a).total_cmp(&gap_s(b))).unwrap_or(rows[at]);
+        (stream.t_s[begin], path[at], gap_s(&begin))
+    };
+    let steps = (1..rows.len()).filter(|&at| path[at] != path[at - 1]).map(step);
+    let levels: Vec<(f64, usize, f64)> =
+        std::iter::once((f64::NEG_INFINITY, path[0], 0.0)).chain(steps).collect();
     // Short levels are glitches in one of the speeds.
     let ends_s = levels.iter().skip(1).map(|level| level.0).chain([end_s]);
     let long = levels.iter().zip(ends_s);
     let long = long.filter(|(level, end_s)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S);
-    let mut changes: Vec<(f64, usize, f64)> = long.map(|(level, _)| *level).collect();
-    changes.dedup_by_key(|level| level.1);
-    changes.first_mut()?.0 = f64::NEG_INFINITY;
-    let level =
-        |&(from_s, lag, gap_s): &(f64, usize, f64)| Level { from_s, lag_s: lags[lag], gap_s };
-    let steps = LatencySteps { levels: changes.iter().map(level).collect() };
-    let clear: Vec<usize> =
-        (0..rows.len()).filter(|&row| steps.is_far_from_steps(stream.t_s[rows[row]])).collect();
-    let cost = |lag_at: &dyn Fn(f64) -> usize| -> f64 {
-        clear.iter().map(|&row| costs[lag_at(stream.t_s[rows[row]])][row]).sum()
+    let mut levels: Vec<(f64, usize, f64)> = long.map(|(level, _)| *level).collect();
+    levels.dedup_by_key(|level| level.1);
+    levels.first_mut()?.0 = f64::NEG_INFINITY;
+    let steps = levels.windows(2).map(|both| {
+        let overlap_s = lags[both[1].1] - lags[both[0].1] - both[1].2;
+        (both[1].0, overlap_s.abs())
+    });
+    let found = CoarseLatencyChange {
+        steps: steps.collect(),
+        latency: PiecewiseLatency::with_steps(
+            &levels.iter().map(|level| (level.0, lags[level.1])).collect::<Vec<_>>(),
+        ),
     };
-    let with = cost(&|t_s| changes[changes.partition_point(|level| level.0 <= t_s) - 1].1);
+    let (clear, clear_rows): (Vec<usize>, Vec<usize>) = rows
+        .iter()
+        .enumerate()
+        .filter(|(_, row)| found.is_far_from_steps(stream.t_s[**row]))
+        .unzip();
+    let cost = |lag_at: &dyn Fn(f64) -> usize| -> f64 {
+        clear.iter().map(|&at| costs[lag_at(stream.t_s[rows[at]])][at]).sum()
+    };
+    let with = cost(&|t_s| levels[levels.partition_point(|level| level.0 <= t_s) - 1].1);
     let alone = (0..lags.len()).map(|lag| cost(&|_| lag)).fold(f64::INFINITY, f64::min);
-    let clear_rows: Vec<usize> = clear.iter().map(|&row| rows[row]).collect();
     let explains = with
         < (MAX_RESIDUAL_RATIO * alone)
             .min(MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, &clear_rows));
-    (steps.levels.len() > 1 && explains).then_some(steps)
+    (found.has_steps() && explains).then_some(found)
 }
 
 /// The lag of each row with the smallest sum of costs, of which there is a list per lag, and of a price per change of the
@@ -150,14 +149,14 @@ fn cheapest_path(costs: &[Vec<f64>], price: f64) -> Option<Vec<usize>> {
     Some(path)
 }
 
-impl LatencySteps {
+impl CoarseLatencyChange {
     /// Lag with the smallest speed difference over each level, s.
     fn finer_lags(&self, arm: &SpeedSeries, stream: &SpeedSeries) -> Vec<f64> {
         /// Around the coarse lag.
         const LAG_SEARCH_RANGE_S: f64 = 0.03;
         const LAG_SEARCH_STEP_S: f64 = 1e-3;
-        let ends_s = self.levels.iter().skip(1).map(|level| level.from_s).chain([f64::INFINITY]);
-        let finer = self.levels.iter().zip(ends_s).map(|(&Level { from_s, lag_s, .. }, end_s)| {
+        let ends_s = self.steps.iter().map(|step| step.0).chain([f64::INFINITY]);
+        let finer = self.levels().into_iter().zip(ends_s).map(|((from_s, lag_s), end_s)| {
             let clear: Vec<usize> = rows_within(&stream.t_s, from_s, end_s)
                 .filter(|&row| self.is_far_from_steps(stream.t_s[row]))
                 .collect();
@@ -177,43 +176,6 @@ impl LatencySteps {
         finer
     }
 
-    /// Between the lowest and the highest level.
-    pub(crate) fn swing_s(&self) -> f64 {
-        value_range(self.levels.iter().map(|level| level.lag_s))
-    }
-
-    /// Lag that remains when the steps are removed: the smallest in magnitude, s.
-    fn retained_lag_s(&self) -> f64 {
-        let lags = self.levels.iter().map(|level| level.lag_s);
-        lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
-    }
-
-    /// Latency at a stamp, s.
-    pub(crate) fn lag_s(&self, t_s: f64) -> f64 {
-        let after = self.levels.partition_point(|level| level.from_s <= t_s);
-        self.levels[after.saturating_sub(1)].lag_s
-    }
-
-    fn relative_s(&self, t_s: f64) -> f64 {
-        self.lag_s(t_s) - self.retained_lag_s()
-    }
-
-    /// Whether a stamp belongs to one level. Levels overlap, or leave a gap, by how much the step differs from the interval
-    /// of the stamps.
-    fn is_far_from_steps(&self, t_s: f64) -> bool {
-        let mut steps = self.levels.windows(2);
-        steps.all(|both| {
-            let overlap_s = (both[1].lag_s - both[0].lag_s - both[1].gap_s).abs();
-            (t_s - both[1].from_s).abs() > overlap_s
-        })
-    }
-
-    /// Stamps without the steps, each with its row. Skips rows near a step and rows out of order.
-    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_far_from_steps(**t_s));
-        monotonic_rows(clear.map(|(row, t_s)| (row, t_s - self.relative_s(*t_s))))
-    }
-
     /// Latency profile of these steps, refined with the profile `found` on the stream without them, plus
     /// its additional jumps.
     pub fn profile(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
@@ -222,30 +184,29 @@ impl LatencySteps {
         let coarse =
             |value: f64| Measured { value, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
         let fine = found.as_ref().ok();
-        let levels = self.levels.iter();
+        let absolute = self.levels();
+        let retained_s = self.retained_s();
         let levels: Vec<(f64, f64)> =
-            levels.map(|level| (level.from_s, level.lag_s - self.retained_lag_s())).collect();
+            absolute.iter().map(|(from_s, lag_s)| (*from_s, lag_s - retained_s)).collect();
         let begins: Vec<f64> = levels.iter().map(|(from_s, lag_s)| from_s - lag_s).collect();
+        let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
         let level = |index: usize| {
             let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
-            let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
             mean(windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
         };
-        let mut jumps: Vec<LatencyStep> = (1..self.levels.len())
-            .map(|index| {
-                let [before, after] = [self.levels[index - 1], self.levels[index]];
-                let (at_s, coarse_s) = (after.from_s, after.lag_s - before.lag_s);
-                let size_s = match (level(index - 1), level(index)) {
-                    (Some(before), Some(after)) => Measured {
-                        value: coarse_s + after.value - before.value,
-                        std_error: before.std_error.hypot(after.std_error),
-                        dof: before.dof + after.dof,
-                    },
-                    _ => coarse(coarse_s),
-                };
-                LatencyStep { at_s, size_s }
-            })
-            .collect();
+        let step = |index: usize| {
+            let (at_s, coarse_s) = (levels[index].0, absolute[index].1 - absolute[index - 1].1);
+            let size_s = match (level(index - 1), level(index)) {
+                (Some(before), Some(after)) => Measured {
+                    value: coarse_s + after.value - before.value,
+                    std_error: before.std_error.hypot(after.std_error),
+                    dof: before.dof + after.dof,
+                },
+                _ => coarse(coarse_s),
+            };
+            LatencyStep { at_s, size_s }
+        };
+        let mut jumps: Vec<LatencyStep> = (1..levels.len()).map(step).collect();
         let is_near_step = |jump: &&LatencyStep| {
             begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > MAX_MERGE_DISTANCE_S)
         };
@@ -258,7 +219,7 @@ impl LatencySteps {
             shape: LatencyShape::Steps,
             skew: 0.0,
             levels: PiecewiseLatency::with_steps(&levels),
-            windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
+            windows: windows.to_vec(),
             parameters: 2 * jumps.len(),
             steps: jumps,
         }
@@ -298,7 +259,7 @@ mod tests {
                 _ => sizes_s[1],
             };
             let found = changed(late);
-            let found = found.as_ref().and_then(CoarseLatencyChange::steps).expect("it steps");
+            let found = found.filter(CoarseLatencyChange::has_steps).expect("it steps");
             let profile = found.profile(&Err(crate::NotObservable::AtRest));
             let first = profile.steps[0];
             assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
