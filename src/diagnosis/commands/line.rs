@@ -12,7 +12,8 @@ use super::measured_poses::{MeasuredPoses, length_of, variance_of_mean};
 use super::rest::{ConstantCommand, MIN_REST_S, Rest, mean_pose, poses_within};
 use crate::PoseSeries;
 use ground::geometry::{
-    Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
+    Convention, Pose, Rotation, Vec3, angle_between, mean_vector, rotation_from_rotvec,
+    rotvec_from_rotation,
 };
 use ground::stats::MeasuredLength;
 
@@ -101,15 +102,13 @@ pub(super) fn detect_lines(
     measured_poses: &[MeasuredPoses<'_>],
 ) -> Vec<CommandedLine> {
     let duration_s = |stop: &ConstantCommand| series.t_s[stop.last] - series.t_s[stop.first];
-    let stops = constant_commands.iter().filter(|stop| duration_s(stop) >= MIN_REST_S);
-    let stops: Vec<&ConstantCommand> = stops.collect();
+    let stops: Vec<&ConstantCommand> =
+        constant_commands.iter().filter(|stop| duration_s(stop) >= MIN_REST_S).collect();
     let pairs = stops.windows(2).filter_map(|pair| {
-        let (from, to) = (pair[0], pair[1]);
-        let rows = from.last..to.first + 1;
-        let (mut line, motion) = commanded_line(series, rows)?;
-        let deviations =
-            measured_poses.iter().map(|poses| line_deviation(&line, &motion, rests, to, poses));
-        line.deviations = deviations.collect();
+        let (mut line, motion) = commanded_line(series, pair[0].last..pair[1].first + 1)?;
+        let deviation =
+            |poses: &MeasuredPoses| line_deviation(&line, &motion, rests, pair[1], poses);
+        line.deviations = measured_poses.iter().map(deviation).collect();
         Some(line)
     });
     pairs.collect()
@@ -133,19 +132,20 @@ fn commanded_line(
     }
     let most_m = MAX_LINE_DEVIATION.0 + MAX_LINE_DEVIATION.1 * motion.length_m;
     let margin = most_m / motion.length_m;
-    let is_on = |pose: &Pose| {
-        let (part, off_line) = motion.locate(pose);
-        off_line.norm() <= most_m && (-margin..=1.0 + margin).contains(&part)
+    let located: Vec<(f64, Vec3)> = poses.iter().map(|pose| motion.locate(pose)).collect();
+    let is_on = |(part, off_line): &(f64, Vec3)| {
+        off_line.norm() <= most_m && (-margin..=1.0 + margin).contains(part)
     };
     // A pause or a jump is not a line.
     let longest = poses.windows(2).map(|pair| {
         (pair[1].translation.vector - pair[0].translation.vector).norm() / motion.length_m
     });
-    if !poses.iter().all(is_on) || longest.fold(0.0, f64::max) > 0.3 {
+    if !located.iter().all(is_on) || longest.fold(0.0, f64::max) > 0.3 {
         return None;
     }
+    let rotations = poses.iter().map(|pose| pose.rotation);
     let placed: Vec<(f64, Rotation)> =
-        poses.iter().map(|pose| (motion.locate(pose).0, pose.rotation)).collect();
+        located.iter().map(|(part, _)| *part).zip(rotations).collect();
     let off_line =
         |(part, rotation): &(f64, Rotation)| angle_between(rotation, &motion.slerp(*part));
     let command_rad = placed.iter().map(off_line).fold(0.0, f64::max);
@@ -189,24 +189,24 @@ fn identify_interpolation(
     let blended =
         |angle: f64, part: f64| (part * angle.sin()).atan2(1.0 - part + part * angle.cos());
     let at_angle = |angle: f64| motion.from.rotation * rotation_from_rotvec(axis * angle);
-    let mut interpolations: Vec<(f64, String)> = vec![
+    let blends = [
         (rms(&|s| at_angle(2.0 * blended(angle / 2.0, s))), "quaternion components".to_owned()),
         (rms(&|s| at_angle(blended(angle, s))), "matrix elements".to_owned()),
     ];
-    for &convention in Convention::all() {
+    let numbers = Convention::all().iter().map(|&convention| {
         let [a, b] =
             [&motion.from.rotation, &last.rotation].map(|rotation| convention.numbers(rotation));
-        let wrapped = |by: f64| by - TAU * (by / TAU).round();
-        let by: [f64; 3] = std::array::from_fn(|at| match convention {
-            Convention::RotVec => b[at] - a[at],
-            _ => wrapped(b[at] - a[at]),
+        let by: [f64; 3] = std::array::from_fn(|at| match (convention, b[at] - a[at]) {
+            (Convention::RotVec, by) => by,
+            (_, by) => by - TAU * (by / TAU).round(),
         });
         let interpolate =
             |part: f64| convention.rotation(std::array::from_fn(|at| a[at] + part * by[at]));
-        interpolations.push((rms(&interpolate), convention.to_string()));
-    }
+        (rms(&interpolate), convention.to_string())
+    });
     // The first of equal candidates is the most common.
-    let (min_rms, name) = interpolations.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let interpolations = blends.into_iter().chain(numbers);
+    let (min_rms, name) = interpolations.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (min_rms <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
@@ -251,30 +251,29 @@ fn line_deviation(
         let pose = pose * tip_from_point;
         let (part, deviation) = measured_motion.locate(&pose);
         let turn = rotvec_from_rotation(&(pose.rotation * measured_motion.slerp(part).inverse()));
-        (part, deviation, turn)
+        (part, [deviation, turn])
     };
-    let mut placed: Vec<(f64, Vec3, Vec3)> =
+    let mut placed: Vec<(f64, [Vec3; 2])> =
         poses_within(series, before.to_s, after.from_s).iter().map(place).collect();
-    placed.retain(|(part, ..)| (0.0..1.0).contains(part));
-    let bins = (placed.len() / SAMPLES_PER_BIN).min(MAX_BINS);
-    if bins < 3 {
+    placed.retain(|(part, _)| (0.0..1.0).contains(part));
+    let count = (placed.len() / SAMPLES_PER_BIN).min(MAX_BINS);
+    if count < 3 {
         return None;
     }
-    let mut sums = vec![(Vec3::zeros(), Vec3::zeros(), 0_usize); bins];
-    for (part, deviation, turn) in placed {
-        let bin = &mut sums[((part * bins as f64) as usize).min(bins - 1)];
-        *bin = (bin.0 + deviation, bin.1 + turn, bin.2 + 1);
+    let mut bins: Vec<Vec<[Vec3; 2]>> = vec![Vec::new(); count];
+    for (part, deviations) in placed {
+        bins[((part * count as f64) as usize).min(count - 1)].push(deviations);
     }
     let fewest = ends[0].len().min(ends[1].len());
     let farthest = |kind: usize| {
         let noise = &measured_poses.noise[kind];
-        let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(deviation, turn, count)| {
-            let mean = if kind == 0 { deviation } else { turn } / count as f64;
-            length_of(mean, variance_of_mean(noise, count) + variance_of_mean(noise, fewest))
+        let lengths = bins.iter().filter(|bin| !bin.is_empty()).map(|bin| {
+            let variance = variance_of_mean(noise, bin.len()) + variance_of_mean(noise, fewest);
+            length_of(mean_vector(bin.iter().map(|deviations| deviations[kind])), variance)
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
         // Bonferroni: maximum over the bins.
-        Some(MeasuredLength { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
+        Some(MeasuredLength { p_value: (longest.p_value * count as f64).min(1.0), ..longest })
     };
     Some(LineDeviation { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }

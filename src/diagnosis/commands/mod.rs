@@ -15,6 +15,7 @@ pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimat
 pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErrorSpread};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
 use crate::model::jacobian::pose_change;
+use crate::residuals::excess::mean_of;
 use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between};
@@ -311,13 +312,9 @@ fn joint_errors(
     };
     let rows =
         joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
-    let count = rows.len() as f64;
     let error = |column: usize| {
-        let mean = rows.clone().map(|row| joints.row(row)[column]).sum::<f64>() / count;
-        let square = rows.clone().map(|row| (joints.row(row)[column] - mean).powi(2)).sum::<f64>();
-        let dof = (count - 1.0).max(1.0);
-        let std_error = (square / dof / count).sqrt();
-        (column, Measured { value: mean - commanded[column], std_error, dof })
+        let errors = rows.clone().map(|row| joints.row(row)[column] - commanded[column]);
+        (column, mean_of(&errors.collect::<Vec<f64>>()))
     };
     (0..dof).filter(|&column| commanded[column].is_finite()).map(error).collect()
 }
