@@ -12,7 +12,7 @@ use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::thin::thinned;
 use ground::stats::{cumulative, median, parabola_minimum};
-use ground::stream::{JointTrack, PoseTrack};
+use ground::stream::{JointTrack, PoseTrack, bracket};
 use realfft::RealFftPlanner;
 
 /// Candidate lag.
@@ -28,6 +28,17 @@ pub struct LagPeak {
 pub(crate) struct SpeedSeries {
     pub t_s: Vec<f64>,
     pub value: Vec<f64>,
+}
+
+impl SpeedSeries {
+    /// Interpolated, fastest near the last interval. `None` outside the series and in gaps of `max_gap_s` or more.
+    pub fn at(&self, t_s: f64, max_gap_s: f64, left: &mut usize) -> Option<f64> {
+        let Self { t_s: times, value } = self;
+        let before = bracket(times, t_s, left)?;
+        let part = (t_s - times[before]) / (times[before + 1] - times[before]);
+        let is_known = part == 0.0 || part == 1.0 || times[before + 1] - times[before] < max_gap_s;
+        is_known.then(|| value[before] + part * (value[before + 1] - value[before]))
+    }
 }
 
 /// Speeds of an arm by FK at the joint stamps.
@@ -63,18 +74,14 @@ impl ArmSpeeds {
         /// More do not improve the correlation.
         const MAX_ROWS: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
-        let (mut q, mut qd) = (vec![0.0; columns.len()], vec![0.0; columns.len()]);
         let identity = Pose::identity();
-        let mut t_s = Vec::new();
-        let mut speeds: [Vec<f64>; 3] = Default::default();
+        let mut speeds: [SpeedSeries; 3] = Default::default();
         for row in thinned(0..joints.len(), MAX_ROWS) {
             let Some([base_linear, base_angular]) = base_velocity(joints.t_s[row]) else {
                 continue;
             };
-            t_s.push(joints.t_s[row]);
-            for ((q, qd), &column) in q.iter_mut().zip(&mut qd).zip(columns) {
-                (*q, *qd) = (joints.row(row)[column], joints.velocities(row)[column]);
-            }
+            let q = joints.positions_at(row, columns);
+            let qd: Vec<f64> = columns.iter().map(|&joint| joints.velocities(row)[joint]).collect();
             let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
             let tip = base_from_tip.translation.vector;
             let jacobian = PoseJacobian::new(&jacobian, &identity, &base_from_tip, &identity);
@@ -84,11 +91,11 @@ impl ArmSpeeds {
             // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
             let inverse = linear - angular.cross(&tip);
             for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
-                speed.push(vector.norm());
+                speed.t_s.push(joints.t_s[row]);
+                speed.value.push(vector.norm());
             }
         }
-        let [linear, angular, inverse] =
-            speeds.map(|value| SpeedSeries { t_s: t_s.clone(), value });
+        let [linear, angular, inverse] = speeds;
         Self { linear, angular, inverse }
     }
 
@@ -113,7 +120,9 @@ impl ArmSpeeds {
         ];
         if let Some(rotation) = rotation {
             found.push(lag_peaks(&self.angular, &angular_speed(t_s, rotation), max_lag_s));
-            let inverse = inverse_linear_speed(t_s, xyz, rotation);
+            // Of the origin of inverse poses.
+            let origin = rotation.iter().zip(xyz).map(|(turn, xyz)| turn.inverse() * xyz);
+            let inverse = linear_speed(t_s, &origin.collect::<Vec<Vec3>>());
             found.push(lag_peaks(&self.linear, &inverse, max_lag_s));
         }
         let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
@@ -179,16 +188,6 @@ pub(crate) fn median_period_s(t_s: &[f64]) -> f64 {
 /// Position speed, in the logged unit per second.
 pub(crate) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> SpeedSeries {
     differenced_speed(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
-}
-
-/// Speed of the origin of *inverse* poses, m/s.
-pub(crate) fn inverse_linear_speed(
-    t_s: &[f64],
-    xyz: &[Vec3],
-    rotation: &[Rotation],
-) -> SpeedSeries {
-    let inverse = |k: usize| rotation[k].inverse() * xyz[k];
-    differenced_speed(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
 }
 
 /// rad/s.
@@ -282,23 +281,12 @@ struct SpeedGrid {
 impl SpeedGrid {
     /// Interpolates across gaps up to `longest_s`.
     fn resample(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
-        let mut right = speed.t_s.partition_point(|&t| t < start);
-        let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
-        for i in 0..count {
-            let t = start + i as f64 * step;
-            while speed.t_s.get(right).is_some_and(|&at| at < t) {
-                right += 1;
+        let (mut left, mut grid) = (0, Self { value: vec![0.0; count], known: vec![0.0; count] });
+        for (at, (value, known)) in grid.value.iter_mut().zip(&mut grid.known).enumerate() {
+            let interpolated = speed.at(start + at as f64 * step, longest_s, &mut left);
+            if let Some(interpolated) = interpolated {
+                (*value, *known) = (interpolated, 1.0);
             }
-            let Some(&after) = speed.t_s.get(right) else { break };
-            let value = match right.checked_sub(1).map(|previous| (previous, speed.t_s[previous])) {
-                _ if after == t => speed.value[right],
-                Some((previous, before)) if after - before <= longest_s => {
-                    let share = (t - before) / (after - before);
-                    speed.value[previous] + share * (speed.value[right] - speed.value[previous])
-                }
-                _ => continue,
-            };
-            (grid.value[i], grid.known[i]) = (value, 1.0);
         }
         grid
     }

@@ -62,14 +62,15 @@ impl<'a> SpeedPairs<'a> {
 
     /// Replaces the lag of stamps from the first to the second.
     pub fn update(&mut self, (from_s, to_s): (f64, f64), lag_s: &dyn Fn(f64) -> f64) {
+        const MAX_GAP_S: f64 = 0.5;
         let Self { arm, stream, rows, pairs } = self;
         let first = rows.partition_point(|&row| stream.t_s[row] < from_s);
         let end = rows.partition_point(|&row| stream.t_s[row] <= to_s);
-        let mut after = 0;
+        let mut left = 0;
         for (pair, &row) in pairs[first..end].iter_mut().zip(&rows[first..end]) {
             let t_s = stream.t_s[row];
-            *pair =
-                speed_at(arm, t_s - lag_s(t_s), &mut after).map(|speed| (speed, stream.value[row]));
+            let speed = arm.at(t_s - lag_s(t_s), MAX_GAP_S, &mut left);
+            *pair = speed.map(|speed| (speed, stream.value[row]));
         }
     }
 
@@ -85,26 +86,4 @@ impl<'a> SpeedPairs<'a> {
     pub fn squared_residual(&self) -> f64 {
         self.squares().flatten().sum()
     }
-}
-
-/// Interpolated. `None` outside the series and in gaps.
-fn speed_at(arm: &SpeedSeries, t_s: f64, after: &mut usize) -> Option<f64> {
-    const MAX_GAP_S: f64 = 0.5;
-    /// A search is faster beyond it.
-    const MAX_STEPS: usize = 8;
-    let is_near = |at: usize| arm.t_s.get(at).is_none_or(|own| *own >= t_s);
-    if !is_near(*after + MAX_STEPS) {
-        *after = arm.t_s.partition_point(|own| *own < t_s);
-    }
-    while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
-        *after += 1;
-    }
-    while *after > 0 && arm.t_s[*after - 1] >= t_s {
-        *after -= 1;
-    }
-    let before = after.checked_sub(1)?;
-    let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
-    let part = (t_s - a_s) / (b_s - a_s);
-    (b_s - a_s < MAX_GAP_S)
-        .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
 }

@@ -8,7 +8,6 @@ use crate::NotObservable;
 use ground::stats::{Measured, median};
 use ground::stream::bracket;
 use nalgebra::{DMatrix, Matrix6, Vector6};
-use std::sync::OnceLock;
 
 /// One column or groups of three. Times are in s from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
@@ -30,15 +29,6 @@ pub(crate) struct ResponseChanges {
     pub changes: Vec<Vector6<f64>>,
     /// Number of columns.
     pub width: usize,
-    /// Computed on first use.
-    pub(super) ends: OnceLock<WindowEnds>,
-}
-
-/// Distinct starts and ends of windows, s, ascending, and the indices of each window's. Overlapping windows share them.
-#[derive(Clone, Debug, Default)]
-pub(super) struct WindowEnds {
-    t_s: Vec<f64>,
-    of_window: Vec<[usize; 2]>,
 }
 
 /// Response to a reference.
@@ -152,18 +142,6 @@ struct DelayFit {
     used: usize,
 }
 
-impl WindowEnds {
-    fn new(windows: &[(f64, f64)]) -> Self {
-        let mut t_s: Vec<f64> = windows.iter().flat_map(|&(from_s, to_s)| [from_s, to_s]).collect();
-        t_s.sort_by(f64::total_cmp);
-        t_s.dedup();
-        let index = |end_s: f64| t_s.partition_point(|t| *t < end_s);
-        let of_window =
-            windows.iter().map(|&(from_s, to_s)| [index(from_s), index(to_s)]).collect();
-        Self { t_s, of_window }
-    }
-}
-
 impl ResponseChanges {
     /// Windows of `window_s` within `span`, s, without gaps, overlapping by half or thinned in very long
     /// series.
@@ -202,12 +180,13 @@ impl ResponseChanges {
 
     /// Reference changes over windows `delay_s` earlier.
     pub fn references(&self, reference: &TimeSeries, delay_s: f64) -> Vec<Option<Vector6<f64>>> {
-        let WindowEnds { t_s, of_window } =
-            self.ends.get_or_init(|| WindowEnds::new(&self.windows));
-        let mut cursor = 0;
-        let at: Vec<_> = t_s.iter().map(|t_s| reference.at(t_s - delay_s, &mut cursor)).collect();
-        let change = |&[from, to]: &[usize; 2]| Some(at[to]? - at[from]?);
-        of_window.iter().map(change).collect()
+        let mut cursors = [0; 2];
+        let change = |&(from_s, to_s): &(f64, f64)| {
+            let [before, after] = &mut cursors;
+            let before = reference.at(from_s - delay_s, before)?;
+            Some(reference.at(to_s - delay_s, after)? - before)
+        };
+        self.windows.iter().map(change).collect()
     }
 
     fn fit(&self, references: &[Option<Vector6<f64>>]) -> DelayFit {
