@@ -8,12 +8,11 @@ use super::correlation::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, no
 use super::lag_windows::{LagWindow, lag_windows};
 use super::piecewise::PiecewiseLatency;
 use super::ramp::RampFit;
-use super::speed_residual::{
-    MAX_SPEED_RESIDUAL_SHARE, fit_rows, squared_deviation, squared_residual,
-};
-use super::steps::detect_steps;
+use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, differences, squared_deviation};
+use super::steps::{MAX_PROFILE_SAMPLES, detect_steps};
 use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{ImuStream, PoseStream};
+use ground::stats::thin::thinned;
 use ground::stats::{median, quantile};
 use ground::stream::{JointTrack, Orientations};
 
@@ -101,10 +100,7 @@ fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
     let fastest = arm.value.iter().copied().fold(0.0, f64::max);
     let times = (QUANTILE_MARGIN * fastest / of_arm).min(MAX_QUANTILE_RATIO);
     let max_speed = if times.is_finite() { times * own } else { MAX_QUANTILE_RATIO * own };
-    let retained =
-        speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= max_speed);
-    let (t_s, value) = retained.unzip();
-    SpeedSeries { t_s, value }
+    speed.at_rows((0..speed.t_s.len()).filter(|row| speed.value[*row] <= max_speed))
 }
 
 /// Same for an IMU, from its angular speed.
@@ -134,14 +130,16 @@ fn detect_changes(
         value_range(latency.knots.iter().map(|knot| knot.1)) >= MIN_VARIATION_S
     };
     let steps = detect_steps(arm, stream, &followed).filter(|steps| is_large(&steps.latency));
+    let stream = stream.at_rows(thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES));
     let Some(RampFit { ramp, residual, line_residual }) =
-        PiecewiseLatency::fit_windows(arm, stream, &followed)
+        PiecewiseLatency::fit_windows(arm, &stream, &followed)
     else {
         return steps;
     };
-    let spread = squared_deviation(stream, &fit_rows(stream));
-    let of_steps =
-        |steps: &CoarseLatencyChange| squared_residual(arm, stream, &|t_s| steps.latency.at(t_s));
+    let spread = squared_deviation(&stream.value);
+    let of_steps = |steps: &CoarseLatencyChange| -> f64 {
+        differences(arm, &stream, |t_s| steps.latency.at(t_s)).iter().sum()
+    };
     let steps_residual = steps.as_ref().map_or(f64::INFINITY, of_steps);
     // Linear growth is skew, not steps.
     let steps = steps.filter(|_| steps_residual < line_residual);

@@ -31,6 +31,11 @@ pub(crate) struct SpeedSeries {
 }
 
 impl SpeedSeries {
+    pub fn at_rows(&self, rows: impl IntoIterator<Item = usize>) -> Self {
+        let (t_s, value) = rows.into_iter().map(|row| (self.t_s[row], self.value[row])).unzip();
+        Self { t_s, value }
+    }
+
     /// Interpolated, fastest near the last interval. `None` outside the series and in gaps of `max_gap_s` or more.
     pub fn at(&self, t_s: f64, max_gap_s: f64, left: &mut usize) -> Option<f64> {
         let Self { t_s: times, value } = self;

@@ -29,7 +29,7 @@ pub(crate) fn lag_windows(
     let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
     let window = |index: usize| {
         let from_s = from_s(index);
-        let own = between(arm, from_s, from_s + length_s);
+        let own = arm.at_rows(rows_within(&arm.t_s, from_s, from_s + length_s));
         // At the ends of the run, a lag can match a short common span by chance.
         let (first_s, last_s) = ends_s(&own)?;
         let covers = |lag_s: f64| {
@@ -52,9 +52,4 @@ pub(crate) fn lag_windows(
         index += 1;
     }
     windows
-}
-
-fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
-    let rows = rows_within(&speed.t_s, from_s, to_s);
-    SpeedSeries { t_s: speed.t_s[rows.clone()].to_vec(), value: speed.value[rows].to_vec() }
 }

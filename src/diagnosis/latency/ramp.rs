@@ -4,7 +4,7 @@ use super::coarse::MIN_VARIATION_S;
 use super::correlation::SpeedSeries;
 use super::lag_windows::LagWindow;
 use super::piecewise::PiecewiseLatency;
-use super::speed_residual::{SpeedPairs, fit_rows, squared_residual};
+use super::speed_residual::{SpeedPairs, differences};
 use crate::samples::sampling::value_range;
 
 /// Fitted latency with its squared speed residual, and the residual of a linear latency.
@@ -15,7 +15,7 @@ pub(crate) struct RampFit {
 }
 
 impl PiecewiseLatency {
-    /// Fits the lags of `windows`. Also returns the speed residuals of this fit and of the best line.
+    /// Fits the lags of `windows` to samples of the stream's speed. Also returns the speed residuals of this fit and of the best line.
     /// `None` if the lags vary little.
     pub(crate) fn fit_windows(
         arm: &SpeedSeries,
@@ -57,11 +57,10 @@ impl PiecewiseLatency {
     }
 
     /// Minimises the speed residual over the lag at each knot, where the arm's speed is known. Returns the residual of all
-    /// stamps.
+    /// samples.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
-        let rows = fit_rows(stream);
-        let mut pairs = SpeedPairs::new(arm, stream, &rows, &|t_s| self.at(t_s));
+        let mut pairs = SpeedPairs::new(arm, stream, &|t_s| self.at(t_s));
         let mut min_residual = pairs.squared_residual();
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
             for knot in 0..self.knots.len() {
@@ -79,7 +78,7 @@ impl PiecewiseLatency {
                 }
             }
         }
-        squared_residual(arm, stream, &|t_s| self.at(t_s))
+        differences(arm, stream, |t_s| self.at(t_s)).iter().sum()
     }
 
     /// Stamps whose latency depends on the lag at a knot, s.

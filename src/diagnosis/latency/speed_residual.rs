@@ -1,28 +1,14 @@
 //! Squared differences between the speeds of arm and stream at a latency.
 
 use super::correlation::SpeedSeries;
-use ground::stats::thin::thinned;
+use ground::stats::mean;
 
-pub(crate) const MAX_PROFILE_SAMPLES: usize = 4000;
 /// After compensation, as a fraction of the speeds' variation.
 pub(crate) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
 
-pub(crate) fn squared_residual(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    lag_s: &dyn Fn(f64) -> f64,
-) -> f64 {
-    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
-}
-
-pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
-    thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES).collect()
-}
-
-pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
-    let values = || rows.iter().map(|&row| speed.value[row]);
-    let mean = values().sum::<f64>() / rows.len().max(1) as f64;
-    values().map(|value| (value - mean).powi(2)).sum()
+pub(crate) fn squared_deviation(values: &[f64]) -> f64 {
+    let mean = mean(values.iter().copied());
+    values.iter().map(|value| (value - mean).powi(2)).sum()
 }
 
 /// Squared differences of the two speeds at a lag. Where the arm's speed is unknown, the most that a lag that explains
@@ -30,12 +16,11 @@ pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
 pub(crate) fn differences(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
-    rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    let unknown =
-        MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, rows) / rows.len().max(1) as f64;
-    let pairs = SpeedPairs::new(arm, stream, rows, &lag_s);
+    let count = stream.t_s.len().max(1) as f64;
+    let unknown = MAX_SPEED_RESIDUAL_SHARE * squared_deviation(&stream.value) / count;
+    let pairs = SpeedPairs::new(arm, stream, &lag_s);
     pairs.squares().map(|square| square.unwrap_or(unknown)).collect()
 }
 
@@ -43,19 +28,13 @@ pub(crate) fn differences(
 pub(crate) struct SpeedPairs<'a> {
     arm: &'a SpeedSeries,
     stream: &'a SpeedSeries,
-    rows: &'a [usize],
     /// `None` if the arm's speed is unknown.
     pairs: Vec<Option<(f64, f64)>>,
 }
 
 impl<'a> SpeedPairs<'a> {
-    pub fn new(
-        arm: &'a SpeedSeries,
-        stream: &'a SpeedSeries,
-        rows: &'a [usize],
-        lag_s: &dyn Fn(f64) -> f64,
-    ) -> Self {
-        let mut pairs = Self { arm, stream, rows, pairs: vec![None; rows.len()] };
+    pub fn new(arm: &'a SpeedSeries, stream: &'a SpeedSeries, lag_s: &dyn Fn(f64) -> f64) -> Self {
+        let mut pairs = Self { arm, stream, pairs: vec![None; stream.t_s.len()] };
         pairs.update((f64::NEG_INFINITY, f64::INFINITY), lag_s);
         pairs
     }
@@ -63,14 +42,13 @@ impl<'a> SpeedPairs<'a> {
     /// Replaces the lag of stamps from the first to the second.
     pub fn update(&mut self, (from_s, to_s): (f64, f64), lag_s: &dyn Fn(f64) -> f64) {
         const MAX_GAP_S: f64 = 0.5;
-        let Self { arm, stream, rows, pairs } = self;
-        let first = rows.partition_point(|&row| stream.t_s[row] < from_s);
-        let end = rows.partition_point(|&row| stream.t_s[row] <= to_s);
+        let SpeedSeries { t_s, value } = self.stream;
+        let first = t_s.partition_point(|t_s| *t_s < from_s);
+        let end = t_s.partition_point(|t_s| *t_s <= to_s);
         let mut left = 0;
-        for (pair, &row) in pairs[first..end].iter_mut().zip(&rows[first..end]) {
-            let t_s = stream.t_s[row];
-            let speed = arm.at(t_s - lag_s(t_s), MAX_GAP_S, &mut left);
-            *pair = speed.map(|speed| (speed, stream.value[row]));
+        for row in first..end {
+            let speed = self.arm.at(t_s[row] - lag_s(t_s[row]), MAX_GAP_S, &mut left);
+            self.pairs[row] = speed.map(|speed| (speed, value[row]));
         }
     }
 

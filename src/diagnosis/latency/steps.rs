@@ -6,14 +6,14 @@ use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
 use super::piecewise::PiecewiseLatency;
 use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
-use super::speed_residual::{
-    MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
-};
+use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, differences, squared_deviation};
 use crate::samples::sampling::rows_within;
 use crate::{EstimateResult, Measured};
 use ground::stats::parabola_minimum;
 use ground::stats::thin::thinned;
 
+/// More do not improve a lag.
+pub(super) const MAX_PROFILE_SAMPLES: usize = 4000;
 /// Between two candidate lags.
 const MIN_LAG_SEPARATION_S: f64 = 0.015;
 const MIN_LEVEL_S: f64 = 1.5;
@@ -73,10 +73,11 @@ fn assign_lags(
 ) -> Option<CoarseLatencyChange> {
     /// Price of a step, as a duration of the smallest speed difference.
     const STEP_PRICE_S: f64 = 10.0;
-    let rows = fit_rows(stream);
+    let rows: Vec<usize> = thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES).collect();
+    let compared = stream.at_rows(rows.iter().copied());
     let costs: Vec<Vec<f64>> =
-        lags.iter().map(|&lag_s| differences(arm, stream, &rows, |_| lag_s)).collect();
-    let [begin_s, end_s] = [*rows.first()?, *rows.last()?].map(|row| stream.t_s[row]);
+        lags.iter().map(|&lag_s| differences(arm, &compared, |_| lag_s)).collect();
+    let (begin_s, end_s) = (*compared.t_s.first()?, *compared.t_s.last()?);
     let min_difference = |at: usize| costs.iter().map(|own| own[at]).fold(f64::INFINITY, f64::min);
     let best: f64 = (0..rows.len()).map(min_difference).sum();
     let span_s = (end_s - begin_s).max(f64::MIN_POSITIVE);
@@ -108,19 +109,15 @@ fn assign_lags(
             &levels.iter().map(|level| (level.0, lags[level.1])).collect::<Vec<_>>(),
         ),
     };
-    let (clear, clear_rows): (Vec<usize>, Vec<usize>) = rows
-        .iter()
-        .enumerate()
-        .filter(|(_, row)| found.is_far_from_steps(stream.t_s[**row]))
-        .unzip();
+    let is_clear = |row: &usize| found.is_far_from_steps(compared.t_s[*row]);
+    let clear: Vec<usize> = (0..rows.len()).filter(is_clear).collect();
     let cost = |lag_at: &dyn Fn(f64) -> usize| -> f64 {
-        clear.iter().map(|&at| costs[lag_at(stream.t_s[rows[at]])][at]).sum()
+        clear.iter().map(|&row| costs[lag_at(compared.t_s[row])][row]).sum()
     };
     let with = cost(&|t_s| levels[levels.partition_point(|level| level.0 <= t_s) - 1].1);
     let alone = (0..lags.len()).map(|lag| cost(&|_| lag)).fold(f64::INFINITY, f64::min);
-    let explains = with
-        < (MAX_RESIDUAL_RATIO * alone)
-            .min(MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, &clear_rows));
+    let spread = squared_deviation(&compared.at_rows(clear.iter().copied()).value);
+    let explains = with < (MAX_RESIDUAL_RATIO * alone).min(MAX_SPEED_RESIDUAL_SHARE * spread);
     (found.has_steps() && explains).then_some(found)
 }
 
@@ -160,8 +157,8 @@ impl CoarseLatencyChange {
             let clear: Vec<usize> = rows_within(&stream.t_s, from_s, end_s)
                 .filter(|&row| self.is_far_from_steps(stream.t_s[row]))
                 .collect();
-            let rows: Vec<usize> = thinned(clear, MAX_PROFILE_SAMPLES).collect();
-            let cost = |lag_s: f64| differences(arm, stream, &rows, |_| lag_s).iter().sum::<f64>();
+            let compared = stream.at_rows(thinned(clear, MAX_PROFILE_SAMPLES));
+            let cost = |lag_s: f64| differences(arm, &compared, |_| lag_s).iter().sum::<f64>();
             let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));
             let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
