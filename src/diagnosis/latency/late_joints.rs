@@ -52,13 +52,13 @@ pub fn with_earlier_joints(joints: &JointTrack, columns: &[usize], late_s: f64) 
     let mut sequence = joints.sequence();
     for (row, t_s) in joints.t_s.iter().enumerate() {
         let Some((q, qd)) = sequence.at(t_s + late_s) else { continue };
-        let (mut row_q, mut row_qd) = (joints.row(row).to_vec(), joints.velocities(row).to_vec());
-        for &column in columns {
-            (row_q[column], row_qd[column]) = (q[column], qd[column]);
-        }
+        let start = moved.q.len();
         moved.t_s.push(*t_s);
-        moved.q.extend(row_q);
-        moved.qd.extend(row_qd);
+        moved.q.extend(joints.row(row));
+        moved.qd.extend(joints.velocities(row));
+        for &column in columns {
+            (moved.q[start + column], moved.qd[start + column]) = (q[column], qd[column]);
+        }
     }
     moved
 }
@@ -85,25 +85,17 @@ impl TwoLatencies {
         let mut found = Self { of_others_s: lag_s, between, mean_square: 0.0 };
         for _ in 0..GAUSS_NEWTON_STEPS {
             let shifted = with_earlier_joints(joints, own, found.between.value);
-            let step = Self::step(&shifted, stream, (factor, found.of_others_s), own)?;
-            found = Self {
-                of_others_s: found.of_others_s + step.of_others_s,
-                between: Measured {
-                    value: found.between.value + step.between.value,
-                    ..step.between
-                },
-                ..step
-            };
+            found = found.after_step(&shifted, stream, factor, own)?;
         }
         Some(found)
     }
 
-    /// Change of both latencies by one least-squares step. Joint zeros, the reference and the position of the tool
-    /// are free.
-    fn step(
+    /// After one least-squares step. Joint zeros, the reference and the position of the tool are free.
+    fn after_step(
+        &self,
         joints: &JointTrack,
         stream: &PoseStream,
-        (factor, lag_s): (f64, f64),
+        factor: f64,
         own: &[usize],
     ) -> Option<Self> {
         const MAX_SAMPLES: usize = 1500;
@@ -120,18 +112,19 @@ impl TwoLatencies {
         let mut link = vec![[0.0; 6]; columns.len()];
         let identity = Pose::identity();
         for at in thinned(0..track.t_s.len(), MAX_SAMPLES) {
-            let Some((q, qd)) = sequence.at(track.t_s[at] - lag_s) else { continue };
-            let of_chain =
-                |all: &[f64]| -> Vec<f64> { columns.iter().map(|&column| all[column]).collect() };
-            let rates = of_chain(qd);
-            let is_own = columns.iter().map(|column| own.contains(column));
-            let own_rates: Vec<f64> =
-                rates.iter().zip(is_own).map(|(rate, own)| if own { *rate } else { 0.0 }).collect();
-            let base_from_tip = chain.forward_with_jacobian(&of_chain(q), &mut link);
+            let t_s = track.t_s[at];
+            let Some((q, qd)) = sequence.at(t_s - self.of_others_s) else { continue };
+            let rates = |is_moved: &dyn Fn(&usize) -> bool| -> Vec<f64> {
+                columns.iter().map(|joint| if is_moved(joint) { qd[*joint] } else { 0.0 }).collect()
+            };
+            let q: Vec<f64> = columns.iter().map(|&column| q[column]).collect();
+            let base_from_tip = chain.forward_with_jacobian(&q, &mut link);
             let residual = track.xyz[at] * factor - base_from_tip.translation.vector;
             let jacobian = PoseJacobian::new(&link, &identity, &base_from_tip, &identity);
-            let latencies =
-                [jacobian.velocity(&rates).map(|part| -part), jacobian.velocity(&own_rates)];
+            let latencies = [
+                jacobian.velocity(&rates(&|_| true)).map(|part| -part),
+                jacobian.velocity(&rates(&|joint| own.contains(joint))),
+            ];
             let zeros = (0..columns.len()).map(|joint| jacobian.joint(joint));
             let frames = (0..6).map(|axis| jacobian.reference(axis));
             let tool = (0..3).map(|axis| jacobian.tool(axis));
@@ -143,7 +136,7 @@ impl TwoLatencies {
                 right.axpy(residual[axis], &row, 1.0);
             }
             squares += residual.norm_squared();
-            times.push(track.t_s[at]);
+            times.push(t_s);
         }
         let span_s = times.last()? - times.first()?;
         let samples = times.len() as f64;
@@ -158,9 +151,10 @@ impl TwoLatencies {
         let independent = (span_s / CORRELATION_S).clamp(1.0, samples);
         let variance = mean_square * samples / independent * inverse[(1, 1)];
         let std_error = variance.max(0.0).sqrt();
+        let between_s = self.between.value + solution[1];
         Some(Self {
-            of_others_s: solution[0],
-            between: Measured { value: solution[1], std_error, dof: independent },
+            of_others_s: self.of_others_s + solution[0],
+            between: Measured { value: between_s, std_error, dof: independent },
             mean_square,
         })
     }
