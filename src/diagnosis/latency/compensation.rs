@@ -189,13 +189,11 @@ fn compared_shares(
 ) -> Vec<f64> {
     let Some((first_s, last_s)) = joints.span() else { return vec![0.0; streams.len()] };
     let share = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
-        let t_s = &stream.track.t_s;
-        let is_compared = |t_s: &f64| (first_s..=last_s).contains(t_s);
-        let compared = match change {
-            Some(it) => it.compensated(t_s).iter().filter(|(_, t_s)| is_compared(t_s)).count(),
-            None => t_s.iter().filter(|t_s| is_compared(t_s)).count(),
-        };
-        compared as f64 / t_s.len().max(1) as f64
+        let stamps = &stream.track.t_s;
+        let all = || stamps.iter().copied().enumerate().collect();
+        let rows = change.as_ref().map_or_else(all, |it| it.compensated(stamps));
+        let compared = rows.iter().filter(|(_, t_s)| (first_s..=last_s).contains(t_s)).count();
+        compared as f64 / stamps.len().max(1) as f64
     };
     streams.iter().zip(changes).map(share).collect()
 }
@@ -294,10 +292,6 @@ pub(crate) fn with_stamps(stream: &PoseStream, rows: &[(usize, f64)]) -> PoseTra
     track
 }
 
-fn at_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
-    rows.iter().map(|&row| values[row]).collect()
-}
-
 fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
     PoseTrack { t_s, ..track.at_rows(&rows) }
@@ -305,11 +299,5 @@ fn with_rows(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
 
 fn imu_with_rows(track: &ImuTrack, rows: &[(usize, f64)]) -> ImuTrack {
     let (rows, t_s): (Vec<usize>, Vec<f64>) = rows.iter().copied().unzip();
-    let ImuTrack { orientation, gyro, accel, .. } = track;
-    ImuTrack {
-        t_s,
-        orientation: rows.iter().filter_map(|&row| orientation.get(row).copied()).collect(),
-        gyro: at_rows(gyro, &rows),
-        accel: at_rows(accel, &rows),
-    }
+    ImuTrack { t_s, ..track.at_rows(&rows) }
 }

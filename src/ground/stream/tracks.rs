@@ -319,6 +319,20 @@ pub struct ImuTrack {
     pub accel: Vec<Vec3>,
 }
 
+impl ImuTrack {
+    /// The samples at these rows.
+    pub fn at_rows(&self, rows: &[usize]) -> Self {
+        let Self { t_s, orientation, gyro, accel } = self;
+        let of_orientation = if orientation.is_empty() { &[] } else { rows };
+        Self {
+            t_s: at_rows(t_s, rows),
+            orientation: at_rows(orientation, of_orientation),
+            gyro: at_rows(gyro, rows),
+            accel: at_rows(accel, rows),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
