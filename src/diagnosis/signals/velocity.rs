@@ -81,20 +81,20 @@ pub fn diagnose_velocity(
 ) -> Result<VelocityDiagnosis, NotObservable> {
     let own = joints.get(index).ok_or(NotObservable::AtRest)?;
     let windows = VelocityWindows::from_samples(own)?;
-    let VelocityWindows { noise, ref changes, ref moved, .. } = windows;
-    let (compared, rate_square) = (moved.len() as f64, mean_square(moved) - 2.0 * noise.position);
-    let by_noise = noise.window_variance(windows.window_s, mean_square(moved)) / rate_square;
-    let error_of = |moved: &[f64]| {
+    let VelocityWindows { window_s, noise, ref changes, ref moved } = windows;
+    let rate_square = mean_square(moved) - 2.0 * noise.position;
+    let by_noise = noise.window_variance(window_s, mean_square(moved)) / rate_square;
+    let error_of = |moved: &mut dyn Iterator<Item = f64>| {
         let errors: Vec<f64> = changes.changes.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
         mean_square(&errors) / rate_square
     };
-    let as_recorded = error_of(moved);
+    let as_recorded = error_of(&mut moved.iter().copied());
     let half_s = 0.5 * median_period_s(own.t_s);
     let curve = own.curve();
     // A difference of samples is the rate midway.
     let of_difference = [-half_s, half_s].map(|delay_s| {
         let shifted = changes.references(&curve, delay_s).into_iter();
-        error_of(&shifted.map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<f64>>())
+        error_of(&mut shifted.map(|at| at.map_or(f64::NAN, |at| at[0])))
     });
     let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
         shifted if shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR => {
@@ -105,7 +105,7 @@ pub fn diagnose_velocity(
     let square = (square - by_noise).max(0.0);
     let value = square.sqrt();
     // Noise variance is known to ±50 %. Overlapping windows count once.
-    let count = (0.5 * compared).max(1.0);
+    let count = (0.5 * moved.len() as f64).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
     let [highest, lowest] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
@@ -118,8 +118,8 @@ pub fn diagnose_velocity(
     Ok(VelocityDiagnosis {
         error: Measured { value, std_error, dof: count },
         noise: by_noise.sqrt(),
-        rate: rate_square.sqrt() / windows.window_s,
-        window_s: windows.window_s,
+        rate: rate_square.sqrt() / window_s,
+        window_s,
         shape,
     })
 }

@@ -127,18 +127,15 @@ impl Window {
         let centred = |sample: &NormalizedSample| {
             (sample.residual - mean_residual, sample.velocity - mean_velocity)
         };
-        let (mut information, mut product) = (0.0, 0.0);
-        for (residual, velocity) in samples.iter().map(centred) {
-            information += velocity.norm_squared();
-            product += velocity.dot(&residual);
-        }
+        let centred: Vec<(Vector6<f64>, Vector6<f64>)> = samples.iter().map(centred).collect();
+        let information: f64 = centred.iter().map(|(_, velocity)| velocity.norm_squared()).sum();
+        let product: f64 = centred.iter().map(|(residual, velocity)| velocity.dot(residual)).sum();
         if information <= 0.0 {
             return None;
         }
         let delta_s = -product / information;
-        let rest = samples.iter().map(centred);
-        let rest: Vec<Vector6<f64>> =
-            rest.map(|(residual, velocity)| residual + delta_s * velocity).collect();
+        let rest = centred.iter().map(|(residual, velocity)| residual + delta_s * velocity);
+        let rest: Vec<Vector6<f64>> = rest.collect();
         let constant_square: f64 = rest.iter().map(|rest| rest.norm_squared()).sum();
         let lagged: f64 = rest.windows(2).map(|pair| pair[0].dot(&pair[1])).sum();
         let rho = (lagged / constant_square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
@@ -162,36 +159,28 @@ impl Window {
         let std_error = std_error.hypot(0.5 * rate * delta_s * delta_s);
         let t_s = mean(samples.iter().map(|sample| sample.t_s));
         let value = delta_s + compensated_s(t_s);
-        let (mut residual, mut squared_residual) = (Vector6::zeros(), 0.0);
-        let mut bins = Vec::new();
+        let as_logged = samples.iter().map(|sample| NormalizedSample {
+            residual: sample.residual - compensated_s(sample.t_s) * sample.velocity,
+            ..*sample
+        });
+        let as_logged: Vec<NormalizedSample> = as_logged.collect();
         let bin_of = |sample: &NormalizedSample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
-        for own in samples.chunk_by(|a, b| bin_of(a) == bin_of(b)) {
-            let mut bin = Bin {
-                t_s: mean(own.iter().map(|sample| sample.t_s)),
-                loads: own[0].loads,
-                velocity: Vector6::zeros(),
-                squared_velocity: 0.0,
-                product: 0.0,
-            };
-            for sample in own {
-                let logged = sample.residual - compensated_s(sample.t_s) * sample.velocity;
-                residual += logged;
-                squared_residual += logged.norm_squared();
-                bin.velocity += sample.velocity;
-                bin.squared_velocity += sample.velocity.norm_squared();
-                bin.product += sample.velocity.dot(&logged);
-            }
-            bins.push(bin);
-        }
+        let bin = |own: &[NormalizedSample]| Bin {
+            t_s: mean(own.iter().map(|sample| sample.t_s)),
+            loads: own[0].loads,
+            velocity: own.iter().map(|sample| sample.velocity).sum(),
+            squared_velocity: own.iter().map(|sample| sample.velocity.norm_squared()).sum(),
+            product: own.iter().map(|sample| sample.velocity.dot(&sample.residual)).sum(),
+        };
         std_error.is_finite().then_some(Self {
             t_s,
             latency_s: Measured { value, std_error, dof: f64::INFINITY },
             scale: (std_error.powi(2) * information).recip(),
             samples: n,
-            residual,
-            squared_residual,
+            residual: as_logged.iter().map(|sample| sample.residual).sum(),
+            squared_residual: as_logged.iter().map(|sample| sample.residual.norm_squared()).sum(),
             constant_square,
-            bins,
+            bins: as_logged.chunk_by(|a, b| bin_of(a) == bin_of(b)).map(bin).collect(),
         })
     }
 }
