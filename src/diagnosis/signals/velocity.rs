@@ -176,24 +176,54 @@ impl VelocityWindows {
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
         let [lowest, highest] = range_of(q.iter().copied());
         let integrals = integrals(&t_s, &v);
-        let mut noise = noise(&t_s, &q, &v);
+        let noise = noise(&t_s, &q, &v);
         if highest - lowest < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
             return Err(NotObservable::AtRest);
         }
         let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
-            let (changes, moved, between) =
-                changes_over_windows(&integrals, &t_s, &q, joint.breaks, window_s);
-            noise.between = between;
-            let square = mean_square(&moved);
-            let is_clear = noise.window_variance(window_s, square)
+            let found = Self::over(&integrals, (&t_s, &q), joint.breaks, noise, window_s);
+            let square = mean_square(&found.moved);
+            let is_clear = found.noise.window_variance(window_s, square)
                 <= MAX_NOISE_RATIO * MAX_NOISE_RATIO * square;
             if is_clear || window_s >= WINDOW_LENGTH_LIMITS_S.1 {
-                let is_enough = moved.len() >= MIN_WINDOWS && square > 4.0 * noise.position;
-                let found = Self { window_s, changes, moved, noise };
+                let is_enough = found.moved.len() >= MIN_WINDOWS && square > 4.0 * noise.position;
                 return if is_enough { Ok(found) } else { Err(NotObservable::AtRest) };
             }
             window_s = (WINDOW_GROWTH * window_s).min(WINDOW_LENGTH_LIMITS_S.1.max(window_s));
+        }
+    }
+
+    /// Changes of the cubic integral and of the position, and the variance due to interpolation.
+    fn over(
+        [cubic, linear]: &[Vec<f64>; 2],
+        (t_s, q): (&[f64], &[f64]),
+        breaks: &[f64],
+        noise: Noise,
+        window_s: f64,
+    ) -> Self {
+        let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
+        let columns = [cubic.clone(), linear.clone(), q.to_vec()];
+        let all = ResponseChanges::from_windows(t_s, &columns, span, window_s);
+        let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
+        // Unknown velocity in a gap, unknown position across a break.
+        let is_gap = |pair: &&[f64]| {
+            pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
+        };
+        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
+        let is_whole = |(window, _): &((f64, f64), Vector6<f64>)| {
+            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
+            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
+        };
+        let whole = all.windows.into_iter().zip(all.changes).filter(is_whole);
+        let (windows, by): (Vec<_>, Vec<Vector6<f64>>) = whole.unzip();
+        let changes = by.iter().map(|by| Vector6::ith(0, by[0])).collect();
+        let between = mean(by.iter().map(|by| (0.5 * (by[0] - by[1])).powi(2)));
+        Self {
+            window_s,
+            changes: ResponseChanges { windows, changes, width: 1 },
+            moved: by.iter().map(|by| by[2]).collect(),
+            noise: Noise { between, ..noise },
         }
     }
 }
@@ -236,11 +266,8 @@ fn step_of(q: &[f64]) -> f64 {
     const MIN_MULTIPLE_SHARE: f64 = 0.95;
     let step = quantisation_step(q);
     let changes = q.windows(2).map(|pair| (pair[1] - pair[0]) / step).filter(|by| *by != 0.0);
-    let (mut whole, mut all) = (0_usize, 0_usize);
-    for by in changes {
-        all += 1;
-        whole += usize::from((by - by.round()).abs() < MULTIPLE_TOLERANCE);
-    }
+    let is_whole = |by: &f64| (by - by.round()).abs() < MULTIPLE_TOLERANCE;
+    let (whole, all) = (changes.clone().filter(is_whole).count(), changes.count());
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
@@ -256,40 +283,6 @@ fn integrals(t_s: &[f64], v: &[f64]) -> [Vec<f64>; 2] {
         linear.push(linear[row - 1] + trapezoid);
     }
     [cubic, linear]
-}
-
-/// Changes of the cubic integral and of the position, and the variance due to interpolation.
-fn changes_over_windows(
-    [cubic, linear]: &[Vec<f64>; 2],
-    t_s: &[f64],
-    q: &[f64],
-    breaks: &[f64],
-    window_s: f64,
-) -> (ResponseChanges, Vec<f64>, f64) {
-    let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
-    let columns = [cubic.clone(), linear.clone(), q.to_vec()];
-    let all = ResponseChanges::from_windows(t_s, &columns, span, window_s);
-    let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
-    // Unknown velocity in a gap, unknown position across a break.
-    let is_gap = |pair: &&[f64]| {
-        pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
-    };
-    let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
-    let is_whole = |window: &(f64, f64)| {
-        let next = gaps.partition_point(|gap_s| *gap_s < window.0);
-        gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
-    };
-    let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
-    let (mut moved, mut square) = (Vec::new(), 0.0);
-    for (&window, by) in all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
-    {
-        changes.windows.push(window);
-        changes.changes.push(Vector6::ith(0, by[0]));
-        moved.push(by[2]);
-        square += (0.5 * (by[0] - by[1])).powi(2);
-    }
-    let between = square / moved.len().max(1) as f64;
-    (changes, moved, between)
 }
 
 fn shape(
