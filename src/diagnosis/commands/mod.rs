@@ -162,12 +162,9 @@ pub fn diagnose_commands(
             if is_near { reached.push(nearest) } else { unreached.push(nearest) }
         }
     }
-    let missed = |rest_errors: &RestErrors| {
-        let all = rest_errors.iter().flatten();
-        let nearest = all.min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
-        Some((nearest.distance_m.norm.value, nearest.angle_rad.norm.value))
-    };
-    let nearest_miss = unreached.iter().min_by(|a, b| by_error(a, b)).and_then(missed);
+    let misses = unreached.iter().flatten().flatten();
+    let nearest = misses.min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)));
+    let nearest_miss = nearest.map(|miss| (miss.distance_m.norm.value, miss.angle_rad.norm.value));
     if (0..measured_poses.len()).any(|stream| is_constant_transform(&unreached, stream)) {
         reached.append(&mut unreached);
     }

@@ -29,21 +29,13 @@ pub(super) struct ConstantCommand {
 pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
     let period_s = median_period_s(&joints.t_s);
     let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
-    let (mut found, mut open): (Vec<Rest>, Option<Rest>) = (Vec::new(), None);
     let still = still_rows(joints, period_s);
-    for (row, (&t_s, is_still)) in joints.t_s.iter().zip(still).enumerate() {
-        if row > 0 && is_gap(row) {
-            found.extend(open.take());
-        }
-        match &mut open {
-            Some(rest) if is_still => rest.to_s = t_s,
-            None if is_still => open = Some(Rest { from_s: t_s, to_s: t_s }),
-            _ => found.extend(open.take()),
-        }
-    }
-    found.extend(open);
-    found.retain(|rest| rest.to_s - rest.from_s >= MIN_REST_S);
-    found
+    let rows: Vec<usize> = (0..joints.len()).filter(|&row| still[row]).collect();
+    let rests = rows.chunk_by(|&row, &next| next == row + 1 && !is_gap(next)).map(|rows| {
+        let [from_s, to_s] = [rows[0], rows[rows.len() - 1]].map(|row| joints.t_s[row]);
+        Rest { from_s, to_s }
+    });
+    rests.filter(|rest| rest.to_s - rest.from_s >= MIN_REST_S).collect()
 }
 
 fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
