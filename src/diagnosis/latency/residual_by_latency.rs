@@ -30,7 +30,9 @@ pub fn residual_by_latency(
     let aligned = &diagnosis.aligned;
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
     let (skew, middle_s) = (diagnosis.chosen_skew(), aligned.middle_s());
-    let mut squares = vec![(0.0, 0.0); latencies_s.len()];
+    let none =
+        |latency_s: &f64| LatencyResidual { latency_s: *latency_s, rms_m: 0.0, rms_rad: 0.0 };
+    let mut by_latency: Vec<LatencyResidual> = latencies_s.iter().map(none).collect();
     let mut compared = 0;
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
     for row in thinned(0..aligned.t_s.len(), MAX_SAMPLES) {
@@ -42,22 +44,18 @@ pub fn residual_by_latency(
         let residuals: Option<Vec<[Vec3; 2]>> = latencies_s.iter().map(residual).collect();
         let Some(residuals) = residuals else { continue };
         compared += 1;
-        for ((m, rad), [shift, turn]) in squares.iter_mut().zip(residuals) {
-            *m += shift.norm_squared();
-            *rad += turn.norm_squared();
+        for (sum, [shift, turn]) in by_latency.iter_mut().zip(residuals) {
+            sum.rms_m += shift.norm_squared();
+            sum.rms_rad += turn.norm_squared();
         }
     }
     if compared < MIN_SAMPLES {
         return Vec::new();
     }
-    let rms = |square: f64| (square / compared as f64).sqrt();
-    let valley = latencies_s.into_iter().zip(squares);
-    let residual = |(latency_s, (m, rad)): (f64, (f64, f64))| LatencyResidual {
-        latency_s,
-        rms_m: rms(m),
-        rms_rad: rms(rad),
-    };
-    valley.map(residual).collect()
+    for LatencyResidual { rms_m, rms_rad, .. } in &mut by_latency {
+        [*rms_m, *rms_rad] = [*rms_m, *rms_rad].map(|square| (square / compared as f64).sqrt());
+    }
+    by_latency
 }
 
 /// Ascending, s. Extends beyond the estimate and zero; includes the estimate.
