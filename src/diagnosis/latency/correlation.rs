@@ -296,20 +296,8 @@ impl SpeedGrid {
         grid
     }
 
-    /// Cumulative sums of the mask, the values and their squares, from 0.
-    fn cumulative_powers(&self) -> [Vec<f64>; 3] {
-        let squares = self.value.iter().map(|value| value * value);
-        let [known, values] = [&self.known, &self.value].map(|all| cumulative(all.iter().copied()));
-        [known, values, cumulative(squares)]
-    }
-
-    fn valid_ranges(&self) -> Vec<Range<usize>> {
-        let mut end = 0;
-        let runs = self.known.chunk_by(|a, b| a == b).map(|run| {
-            end += run.len();
-            (run[0] == 1.0).then_some(end - run.len()..end)
-        });
-        runs.flatten().collect()
+    fn squares(&self) -> Vec<f64> {
+        self.value.iter().map(|value| value * value).collect()
     }
 }
 
@@ -318,12 +306,20 @@ thread_local! {
     static FFT_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
 }
 
-/// Adds sums over `ranges`, shifted by `direction` for each lag after the first, from cumulative ones.
-fn add_range_sums(sums: &mut [f64], cumulative: &[f64], ranges: &[Range<usize>], direction: isize) {
-    let last = cumulative.len() as isize - 1;
+/// Adds the sum of the values of one speed at which the other is known, for lags from the first on. The other speed is
+/// shifted by `direction` per lag.
+fn add_common_sums(sums: &mut [f64], values: &[f64], other: &SpeedGrid, direction: isize) {
+    let cumulative = cumulative(values.iter().copied());
+    let mut end = 0;
+    let ranges = other.known.chunk_by(|a, b| a == b).filter_map(|run| {
+        end += run.len();
+        (run[0] == 1.0).then_some(end - run.len()..end)
+    });
+    let ranges: Vec<Range<usize>> = ranges.collect();
     for (lag, sum) in sums.iter_mut().enumerate() {
         let before = |at: usize| {
-            cumulative[(at as isize + direction * lag as isize).clamp(0, last) as usize]
+            let shifted = at as isize + direction * lag as isize;
+            cumulative[shifted.clamp(0, values.len() as isize) as usize]
         };
         *sum += ranges.iter().map(|own| before(own.end) - before(own.start)).sum::<f64>();
     }
@@ -348,15 +344,11 @@ impl CorrelationSums {
     /// over the valid times of both.
     fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
         let [n, x, xx, y, yy, xy] = &mut self.sums;
-        let [count, sum, squares] = arm.cumulative_powers();
-        let ranges = stream.valid_ranges();
-        for (sums, cumulative) in [(n, count), (x, sum), (xx, squares)] {
-            add_range_sums(sums, &cumulative, &ranges, -1);
+        for (sums, values) in [(n, &arm.known), (x, &arm.value), (xx, &arm.squares())] {
+            add_common_sums(sums, values, stream, -1);
         }
-        let [_, sum, squares] = stream.cumulative_powers();
-        let ranges = arm.valid_ranges();
-        for (sums, cumulative) in [(y, sum), (yy, squares)] {
-            add_range_sums(sums, &cumulative, &ranges, 1);
+        for (sums, values) in [(y, &stream.value), (yy, &stream.squares())] {
+            add_common_sums(sums, values, arm, 1);
         }
         let length = stream.value.len().next_power_of_two();
         let (forward, inverse) = FFT_PLANS.with_borrow_mut(|planner| {
