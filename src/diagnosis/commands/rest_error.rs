@@ -51,11 +51,10 @@ impl RestErrorSpread {
             vectors.iter().map(|vector| (vector - mean).norm()).fold(0.0, f64::max)
         };
         let spread = |of: &dyn Fn(&RestError) -> Pose| {
-            let vectors = errors.iter().map(of);
-            let vectors =
-                vectors.map(|pose| (pose.translation.vector, rotvec_from_rotation(&pose.rotation)));
-            let (translations, rotations) = vectors.unzip();
-            (max_deviation(translations), max_deviation(rotations))
+            let poses: Vec<Pose> = errors.iter().map(of).collect();
+            let translations = poses.iter().map(|pose| pose.translation.vector);
+            let rotations = poses.iter().map(|pose| rotvec_from_rotation(&pose.rotation));
+            (max_deviation(translations.collect()), max_deviation(rotations.collect()))
         };
         Some(Self {
             in_tool: spread(&RestError::tip_from_commanded),
