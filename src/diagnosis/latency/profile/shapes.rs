@@ -44,18 +44,14 @@ impl Basis {
         }
     }
 
-    /// Price of the causes beyond a line.
+    /// Price of the causes beyond a line. The score of steps and knots is at most minus this: their residual is at least
+    /// that with a constant latency per window.
     fn price(&self, windows: f64) -> f64 {
         match self {
             Self::Line(_) => 0.0,
             Self::Steps(times_s) => times_s.len() as f64 * price_of_cause(2, windows),
             other => price_of_cause(other.parameters(), windows),
         }
-    }
-
-    /// Upper bound of the score of steps and knots: their residual is at least that with a constant latency per window.
-    fn max_score(&self, windows: f64) -> f64 {
-        -self.price(windows)
     }
 
     fn terms(&self, bin: usize, t_s: f64) -> Terms {
@@ -188,7 +184,7 @@ fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
     let (mut times_s, mut best) = (Vec::new(), None::<Fit>);
     for steps in 1..=MAX_STEPS {
         let min_score = best.as_ref().map_or(min_score, |best| best.score.max(min_score));
-        if Basis::Steps(vec![0.0; steps]).max_score(count) <= min_score {
+        if -Basis::Steps(vec![0.0; steps]).price(count) <= min_score {
             break;
         }
         let with = |at_s: &f64| {
@@ -208,7 +204,7 @@ fn fit_steps(windows: &[Window], min_score: f64) -> Option<Fit> {
 /// The likeliest ramp between two constant levels, if its score may exceed `min_score`.
 fn fit_ramp(windows: &[Window], min_score: f64) -> Option<Fit> {
     const MAX_TRIAL_TIMES: usize = 40;
-    if Basis::Ramp(Vec::new()).max_score(effective_count(windows)) <= min_score {
+    if -Basis::Ramp(Vec::new()).price(effective_count(windows)) <= min_score {
         return None;
     }
     let times_s: Vec<f64> = thinned(windows, MAX_TRIAL_TIMES).map(|window| window.t_s).collect();
@@ -245,7 +241,7 @@ fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     });
     let knots = knots.take_while(|knots| knots.len() >= MIN_KNOTS);
     let count = effective_count(windows);
-    let knots = knots.map(Basis::Spline).filter(|basis| basis.max_score(count) > min_score);
+    let knots = knots.map(Basis::Spline).filter(|basis| -basis.price(count) > min_score);
     let fits = knots.filter_map(|basis| Fit::new(windows, basis));
     fits.max_by(|a, b| a.score.total_cmp(&b.score))
 }
