@@ -5,7 +5,7 @@ use crate::priors::LEVER_M;
 use crate::samples::sampling::range_of;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};
-use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::cumulative;
 use ground::stream::{JointTrack, sample_noise};
 
@@ -124,17 +124,13 @@ fn advances_in_steps(
 
 /// Position, m, and accumulated rotation vectors, rad, times a balancing length.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
-    let mut rotated = Vec3::zeros();
-    let mut columns: [Vec<f64>; 6] = Default::default();
-    for (row, pose) in series.poses.iter().enumerate() {
-        if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
-            rotated += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
-        }
-        let scaled = LEVER_M * rotated;
-        let both = pose.translation.vector.iter().chain(scaled.iter());
-        columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
-    }
-    columns.to_vec()
+    let turn =
+        |pair: &[Pose]| rotvec_from_rotation(&(pair[1].rotation * pair[0].rotation.inverse()));
+    let turns: Vec<Vec3> = series.poses.windows(2).map(turn).collect();
+    let rotated = |axis: usize| cumulative(turns.iter().map(|turn| LEVER_M * turn[axis]));
+    let position =
+        |axis: usize| series.poses.iter().map(|pose| pose.translation.vector[axis]).collect();
+    (0..3).map(position).chain((0..3).map(rotated)).collect()
 }
 
 /// `paths` are the distances that command and measurement have moved.
