@@ -189,7 +189,8 @@ impl ResponseChanges {
         self.windows.iter().map(change).collect()
     }
 
-    fn fit(&self, references: &[Option<Vector6<f64>>]) -> DelayFit {
+    /// A single column has at least `min_gain`.
+    fn fit(&self, references: &[Option<Vector6<f64>>], min_gain: f64) -> DelayFit {
         let size = self.group();
         let (mut normal, mut right) = (Matrix6::zeros(), Matrix6::zeros());
         let (mut total, mut used) = (Vector6::zeros(), 0);
@@ -211,8 +212,7 @@ impl ResponseChanges {
             let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
             let mut own = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
             if size == 1 {
-                // No negative gain: it fits a periodic signal half a period late.
-                own[(0, 0)] = own[(0, 0)].max(0.0);
+                own[(0, 0)] = own[(0, 0)].max(min_gain);
             }
             let total = total.rows(first, size).sum();
             residual += (total - own.component_mul(&right).sum()).max(0.0);
@@ -224,7 +224,8 @@ impl ResponseChanges {
     }
 
     fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
-        self.fit(&self.references(reference, delay_s))
+        // No negative gain: it fits a periodic signal half a period late.
+        self.fit(&self.references(reference, delay_s), 0.0)
     }
 
     /// 1 if the reference covers too few windows.
@@ -266,7 +267,7 @@ impl ResponseChanges {
         const MIN_BLOCK_S: f64 = 0.5;
         const STEP_S: f64 = 1e-3;
         let references = self.references(reference, delay_s);
-        let fit = self.fit(&references);
+        let fit = self.fit(&references, 0.0);
         let [before, after] =
             [-STEP_S, STEP_S].map(|step_s| self.references(reference, delay_s + step_s));
         let slopes = before.iter().zip(&after);
@@ -278,7 +279,7 @@ impl ResponseChanges {
         };
         let changes = slopes.iter().map(predicted_slope).collect();
         let sloped = ResponseChanges { changes, ..self.clone() };
-        let sloped_fit = sloped.fit(&references);
+        let sloped_fit = sloped.fit(&references, 0.0);
         let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
             return (f64::INFINITY, 1.0);
         };
@@ -305,9 +306,9 @@ impl ResponseChanges {
         fit.gains.trace() / self.width.max(1) as f64
     }
 
-    /// Gain at zero delay, and unexplained share.
+    /// Gain of either sign at zero delay, and unexplained share.
     pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
-        let fit = self.fit_at(reference, 0.0);
+        let fit = self.fit(&self.references(reference, 0.0), f64::NEG_INFINITY);
         (self.mean_gain(&fit), fit.unexplained_share)
     }
 

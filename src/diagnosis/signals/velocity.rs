@@ -6,7 +6,7 @@ use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
 use crate::samples::sampling::{check_sample_count, range_of, row_blocks};
 use crate::{NotObservable, Response};
-use ground::stats::{Measured, mean, quantile};
+use ground::stats::{Measured, cumulative, mean, quantile};
 use ground::stream::sample_noise;
 use nalgebra::Vector6;
 
@@ -274,15 +274,12 @@ fn step_of(q: &[f64]) -> f64 {
 /// Integrals of a velocity, by cubic and by linear interpolation.
 fn integrals(t_s: &[f64], v: &[f64]) -> [Vec<f64>; 2] {
     let slopes = slopes(t_s, v);
-    let (mut cubic, mut linear) = (vec![0.0], vec![0.0]);
-    for row in 1..t_s.len() {
-        let length_s = t_s[row] - t_s[row - 1];
-        let trapezoid = 0.5 * length_s * (v[row] + v[row - 1]);
-        let correction = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
-        cubic.push(cubic[row - 1] + trapezoid - correction);
-        linear.push(linear[row - 1] + trapezoid);
-    }
-    [cubic, linear]
+    let length_s = |row: usize| t_s[row] - t_s[row - 1];
+    let trapezoid = |row: usize| 0.5 * length_s(row) * (v[row] + v[row - 1]);
+    let correction = |row: usize| length_s(row).powi(2) / 12.0 * (slopes[row] - slopes[row - 1]);
+    let rows = 1..t_s.len();
+    let cubic = cumulative(rows.clone().map(|row| trapezoid(row) - correction(row)));
+    [cubic, cumulative(rows.map(trapezoid))]
 }
 
 fn shape(
@@ -305,20 +302,7 @@ fn shape(
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
     // As a share of the response's energy.
     let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise).min(0.5 * square) / square;
-    let signed = |sign: f64| {
-        let by = changes.changes.iter().map(|by| sign * by).collect();
-        ResponseChanges { changes: by, ..changes.clone() }
-    };
-    let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
-    let sign = if along < 0.0 { -1.0 } else { 1.0 };
-    let gain_of = |curve: &TimeSeries| {
-        let [forward, backward] = [1.0, -1.0].map(|sign| {
-            let (gain, residual) = signed(sign).gain(curve);
-            (sign * gain, residual)
-        });
-        if forward.1 <= backward.1 { forward } else { backward }
-    };
-    let (gain, residual) = gain_of(curve);
+    let (gain, residual) = changes.gain(curve);
     if residual <= allowed {
         return VelocityShape::Scaled(gain);
     }
@@ -328,11 +312,15 @@ fn shape(
     let is_other =
         |(other, joint): &(usize, &VelocitySamples)| *other != index && joint.t_s.len() > 1;
     let other_joints = joints.iter().enumerate().filter(is_other).map(|(other, joint)| {
-        let (gain, residual) = gain_of(&joint.curve());
+        let (gain, residual) = changes.gain(&joint.curve());
         (residual, other, gain)
     });
     let other = other_joints.min_by(|a, b| a.0.total_cmp(&b.0));
-    let response = signed(sign).estimate_response(curve, MAX_LAG_S).ok();
+    let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
+    let sign = if along < 0.0 { -1.0 } else { 1.0 };
+    let signed = changes.changes.iter().map(|by| sign * by).collect();
+    let signed = ResponseChanges { changes: signed, ..changes.clone() };
+    let response = signed.estimate_response(curve, MAX_LAG_S).ok();
     let response = response.map(|found| Response { gain: sign * found.gain, ..found });
     let residual = response.map_or(1.0, |response| 1.0 - response.explained);
     if let Some((_, other, gain)) = other.filter(|it| it.0 <= allowed.min(0.2 * residual)) {
