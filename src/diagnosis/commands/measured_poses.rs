@@ -17,17 +17,13 @@ pub(super) struct MeasuredPoses<'a> {
 pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
     /// From the specification: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-6;
-    let (mut metres, mut radians) = (Vec::new(), Vec::new());
-    for rest in rests {
+    let changes = rests.iter().flat_map(|rest| {
         let poses = poses_within(series, rest.from_s, rest.to_s);
-        let Some(mean) = mean_pose(poses) else { continue };
-        for pose in poses {
-            let [shift, turn] = pose_change(&mean, pose);
-            metres.push(shift);
-            radians.push(turn);
-        }
-    }
-    [metres, radians].map(|residuals: Vec<Vec3>| Noise::unweighted(&residuals, FLOOR))
+        let mean = mean_pose(poses);
+        poses.iter().filter_map(move |pose| Some(pose_change(&mean?, pose).into()))
+    });
+    let (metres, radians): (Vec<Vec3>, Vec<Vec3>) = changes.unzip();
+    [metres, radians].map(|residuals| Noise::unweighted(&residuals, FLOOR))
 }
 
 /// Accounts for autocorrelation.

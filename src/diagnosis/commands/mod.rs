@@ -20,8 +20,8 @@ use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
-use ground::stats::Measured;
 use ground::stats::thin::thinned;
+use ground::stats::{Measured, mean};
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
@@ -355,19 +355,16 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
     const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);
-    let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
-    for row in thinned(0..joints.len(), ENOUGH) {
-        if joints.velocities(row).iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
-            continue;
-        }
-        let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
+    let moves =
+        |row: &usize| !joints.velocities(*row).iter().all(|speed| speed.abs() < MIN_JOINT_SPEED);
+    let errors = thinned(0..joints.len(), ENOUGH).filter(moves).filter_map(|row| {
+        let commanded = series.at(joints.t_s[row] - delay_s, period_s)?;
         let measured = chain.forward(&joints.positions_at(row, columns));
-        metres += (commanded.translation.vector - measured.translation.vector).norm_squared();
-        radians += angle_between(&commanded.rotation, &measured.rotation).powi(2);
-        count += 1.0;
-    }
-    let rms = |sum: f64| (sum / f64::max(count, 1.0)).sqrt();
-    (rms(metres), rms(radians))
+        let [shift, turn] = pose_change(&measured, &commanded);
+        Some((shift.norm_squared(), turn.norm_squared()))
+    });
+    let (metres, radians): (Vec<f64>, Vec<f64>) = errors.unzip();
+    (mean(metres).sqrt(), mean(radians).sqrt())
 }
 
 #[cfg(test)]
