@@ -10,11 +10,11 @@ use super::piecewise::PiecewiseLatency;
 use super::ramp::RampFit;
 use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, differences, squared_deviation};
 use super::steps::{MAX_PROFILE_SAMPLES, detect_steps};
-use crate::samples::sampling::{monotonic_rows, value_range};
+use crate::samples::sampling::{as_rotations, monotonic_rows, value_range};
 use crate::{ImuStream, PoseStream};
 use ground::stats::thin::thinned;
 use ground::stats::{median, quantile};
-use ground::stream::{JointTrack, Orientations};
+use ground::stream::JointTrack;
 
 const MIN_CORRELATION: f64 = 0.85;
 /// Residual of a piecewise linear profile over that of a line.
@@ -76,13 +76,14 @@ pub fn detect_pose_latency_changes(
     stream: &PoseStream,
     max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::in_frame(joints, stream);
-    let in_frame = stream.moving_frame.map(|frame| frame.in_frame(stream.track));
+    let PoseStream { chain, columns, moving_frame, .. } = *stream;
+    let ArmSpeeds { linear, angular, .. } =
+        ArmSpeeds::in_frame(joints, chain, columns, moving_frame);
+    let in_frame = moving_frame.map(|frame| frame.in_frame(stream.track));
     let track = in_frame.as_ref().unwrap_or(stream.track);
     let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
-    if let Orientations::Rotations(rotations) = &track.orientation {
-        pairs.push((angular, angular_speed(&track.t_s, rotations)));
-    }
+    let rotations = as_rotations(&track.orientation);
+    pairs.extend(rotations.map(|rotations| (angular, angular_speed(&track.t_s, rotations))));
     for (arm, speed) in &mut pairs {
         *speed = without_spikes(arm, std::mem::take(speed));
     }

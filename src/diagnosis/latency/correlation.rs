@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use crate::PoseStream;
 use crate::model::jacobian::PoseJacobian;
+use crate::model::moving_frame::MovingFrame;
 use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
@@ -58,23 +59,15 @@ pub(crate) struct ArmSpeeds {
 
 impl ArmSpeeds {
     pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
-        Self::with_base(joints, chain, columns, |_| Some([Vec3::zeros(); 2]))
+        Self::in_frame(joints, chain, columns, None)
     }
 
-    /// Speeds in the frame of the logged poses, which may move in the base.
-    pub fn in_frame(joints: &JointTrack, stream: &PoseStream) -> Self {
-        Self::with_base(joints, stream.chain, stream.columns, |t_s| match stream.moving_frame {
-            Some(frame) => frame.base_velocity(t_s),
-            None => Some([Vec3::zeros(); 2]),
-        })
-    }
-
-    /// `base_velocity` in the base's axes, m/s and rad/s. Times without it are omitted.
-    fn with_base(
+    /// Speeds in the frame of the logged poses, if it moves in the base. Times without a velocity of it are omitted.
+    pub fn in_frame(
         joints: &JointTrack,
         chain: &Chain,
         columns: &[usize],
-        base_velocity: impl Fn(f64) -> Option<[Vec3; 2]>,
+        frame: Option<&MovingFrame>,
     ) -> Self {
         /// More do not improve the correlation.
         const MAX_ROWS: usize = 30_000;
@@ -82,9 +75,9 @@ impl ArmSpeeds {
         let identity = Pose::identity();
         let mut speeds: [SpeedSeries; 3] = Default::default();
         for row in thinned(0..joints.len(), MAX_ROWS) {
-            let Some([base_linear, base_angular]) = base_velocity(joints.t_s[row]) else {
-                continue;
-            };
+            let t_s = joints.t_s[row];
+            let base = frame.map_or(Some([Vec3::zeros(); 2]), |frame| frame.base_velocity(t_s));
+            let Some([base_linear, base_angular]) = base else { continue };
             let q = joints.positions_at(row, columns);
             let qd: Vec<f64> = columns.iter().map(|&joint| joints.velocities(row)[joint]).collect();
             let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
@@ -96,7 +89,7 @@ impl ArmSpeeds {
             // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
             let inverse = linear - angular.cross(&tip);
             for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
-                speed.t_s.push(joints.t_s[row]);
+                speed.t_s.push(t_s);
                 speed.value.push(vector.norm());
             }
         }
