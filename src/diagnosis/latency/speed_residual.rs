@@ -42,13 +42,14 @@ impl<'a> SpeedPairs<'a> {
     /// Replaces the lag of stamps from the first to the second.
     pub fn update(&mut self, (from_s, to_s): (f64, f64), lag_s: &dyn Fn(f64) -> f64) {
         const MAX_GAP_S: f64 = 0.5;
-        let SpeedSeries { t_s, value } = self.stream;
-        let first = t_s.partition_point(|t_s| *t_s < from_s);
-        let end = t_s.partition_point(|t_s| *t_s <= to_s);
+        let Self { arm, stream, pairs } = self;
+        let first = stream.t_s.partition_point(|t_s| *t_s < from_s);
+        let end = stream.t_s.partition_point(|t_s| *t_s <= to_s);
+        let samples = stream.t_s[first..end].iter().zip(&stream.value[first..end]);
         let mut left = 0;
-        for row in first..end {
-            let speed = self.arm.at(t_s[row] - lag_s(t_s[row]), MAX_GAP_S, &mut left);
-            self.pairs[row] = speed.map(|speed| (speed, value[row]));
+        for (pair, (t_s, value)) in pairs[first..end].iter_mut().zip(samples) {
+            let speed = arm.at(t_s - lag_s(*t_s), MAX_GAP_S, &mut left);
+            *pair = speed.map(|speed| (speed, *value));
         }
     }
 

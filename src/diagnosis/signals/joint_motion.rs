@@ -102,11 +102,11 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
     let Some(period_s) = quantile_of(intervals, 0.5) else { return t_s.to_vec() };
     let mut even_s: Vec<f64> = Vec::with_capacity(t_s.len());
     for segment_s in t_s.chunk_by(|a, b| b - a <= MIN_GAP_PERIODS * period_s) {
-        for row in 0..segment_s.len() {
+        for (row, logged_s) in segment_s.iter().enumerate() {
             let beside = row.min(segment_s.len() - 1 - row).min(NEIGHBOURS);
             let predicted = (row - beside..=row + beside)
                 .map(|other| segment_s[other] + (row as f64 - other as f64) * period_s);
-            let at_s = quantile_of(predicted, 0.5).unwrap_or(segment_s[row]);
+            let at_s = quantile_of(predicted, 0.5).unwrap_or(*logged_s);
             // Keep the times increasing.
             let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
             even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
