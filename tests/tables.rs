@@ -719,3 +719,57 @@ fn a_clock_that_is_set_back_within_a_table_is_a_finding() {
         report.findings
     );
 }
+
+#[test]
+fn rotation_vectors_and_translations_of_a_camera_close_the_hand_eye_chain() {
+    let hand_from_camera = pose([0.05, 0.03, 0.08], rotation_from_rotvec([0.1, -0.2, 1.5].into()));
+    let base_from_board = pose([0.5, 0.1, 0.0], rotation_from_rotvec([3.0, 0.1, 0.2].into()));
+    for (rotation, translation, per_m) in [
+        ("T_cam_target_rvec", "T_cam_target_tvec", 1.0),
+        ("chessboard_data.rotation_vector", "chessboard_data.translation_mm", 1e3),
+    ] {
+        let record = |row: i32, is_timed: bool| {
+            let t = f64::from(row);
+            let turn =
+                [2.6 + 0.3 * (0.4 * t).sin(), 0.5 * (0.31 * t + 1.0).sin(), 0.6 * (0.27 * t).cos()];
+            let xyz = [
+                0.45 + 0.1 * (0.5 * t).sin(),
+                0.1 * (0.41 * t).cos(),
+                0.5 + 0.06 * (0.7 * t).sin(),
+            ];
+            let base_from_hand = pose(xyz, rotation_from_rotvec(turn.into()));
+            let seen = (base_from_hand * hand_from_camera).inverse() * base_from_board;
+            let rotvec = Convention::RotVec.numbers(&seen.rotation);
+            let xyz = seen.translation.vector * per_m;
+            let hand = base_from_hand.to_homogeneous();
+            let hand: Vec<Vec<f64>> =
+                hand.row_iter().map(|row| row.iter().copied().collect()).collect();
+            let time =
+                if is_timed { format!("\"timestamp\":{:?},", 0.5 * t) } else { String::new() };
+            format!(
+                r#"{{{time}"gripper2base":{hand:?},"{rotation}":{rotvec:?},"{translation}":[{:?},{:?},{:?}]}}"#,
+                xyz.x, xyz.y, xyz.z
+            )
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("hand_eye.json");
+        let report = |is_timed: bool| {
+            let records: Vec<String> = (0..24).map(|row| record(row, is_timed)).collect();
+            fs::write(&path, format!("[{}]", records.join(","))).expect("a file");
+            audit_table(&path, None, ColumnSettings::default())
+        };
+        let asked = report(false).expect_err("no times").remedy;
+        assert!(
+            asked.contains("hand-eye calibration, at rest, use --columns 'matrix[16],"),
+            "{asked}"
+        );
+        let report = report(true).expect("a report");
+        let closure = report.checks.iter().find(|row| row.code == "HEC001").expect("a check");
+        assert_eq!(closure.status, Status::Pass, "{rotation}: {:?}", report.findings);
+        let layout = report.log.tables[0].layout.clone().expect("a layout");
+        let unit = if per_m == 1.0 { "" } else { ":mm" };
+        let own = |item: &str| format!("{translation}/{item}");
+        let [x, y, z] = ["x", "y", "z"].map(|axis| own(axis) + unit);
+        assert_eq!(layout, format!("t,matrix[16],{},{x},{y},{z}", own("rotvec")));
+    }
+}

@@ -5,7 +5,7 @@ use crate::log::{
     self, Container, FileLayout, LayoutItem, Log, LogError, Meaning, RowLayout, SourceName,
 };
 use crate::report::Trouble;
-use crate::run::{identify_columns, may_be_poses};
+use crate::run::{identify_columns, is_of_camera, may_be_poses};
 use crate::stats::mean;
 use crate::stream::{Columns, JointColumns};
 
@@ -127,9 +127,16 @@ fn question(options: &Options, what: &str, rows: usize) -> Option<(String, Strin
                 }
                 () => String::new(),
             };
+            let hand_eye = match log.topics.iter().any(|topic| is_of_camera(&topic.name)) {
+                true => format!(
+                    "; if the rows are those of a hand-eye calibration, at rest, use {}",
+                    with("@1")
+                ),
+                false => String::new(),
+            };
             let with = with("@RATE");
             let remedy = format!(
-                "{condition}use {with} with the true rows per second as RATE, {or_times}{calibrate}"
+                "{condition}use {with} with the true rows per second as RATE, {or_times}{calibrate}{hand_eye}"
             );
             (what.to_owned(), remedy)
         }

@@ -86,7 +86,7 @@ pub use pose_distance::PoseDistance;
 pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;
 pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
-pub(crate) use role::may_be_poses;
+pub(crate) use role::{is_of_camera, may_be_poses};
 pub use role::{Role, named_encodings};
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;

@@ -199,7 +199,11 @@ pub(super) fn role_outside_arm(topic: &str) -> Role {
 /// Whether a stream has a role, or has it by name while open.
 pub(super) fn may_have_role(stream: &Stream, role: Role) -> bool {
     let is_open = matches!(stream.role, Role::Candidate { .. })
-        && matches!(stream.columns, Some(Columns::Poses(_)));
+        && match stream.columns {
+            Some(Columns::Poses(_)) => true,
+            Some(Columns::Array(_)) => role == Role::Target,
+            _ => false,
+        };
     stream.role == role || (is_open && role_outside_arm(&stream.topic) == role)
 }
 
@@ -287,12 +291,41 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     }
 }
 
-/// The role of a target's pose in the frame of a camera that its name states, such as `target2cam` or `T_cam_target`.
+/// The role of a target's pose in the frame of a camera that its name states, such as `target2cam`, `T_cam_target` or
+/// `cam2marker`.
 pub(super) fn target_of_camera(topic: &str) -> Option<RoleDecision> {
     let words = split_words(&topic.replace('2', "_"));
-    let [camera, target] = [CAMERA_WORDS, TARGET_WORDS].map(|known| find_word(&words, known));
-    let (camera, target) = camera.zip(target)?;
+    let parts: Vec<&str> = topic.split('2').collect();
+    let is_between = |pair: &[&str]| {
+        pair[0].ends_with(char::is_alphabetic) && pair[1].starts_with(char::is_alphabetic)
+    };
+    let is_transform =
+        parts.windows(2).any(is_between) || find_word(&words, &["t", "to", "from"]).is_some();
+    let camera = find_word(&words, CAMERA_WORDS)?;
+    let detected = || find_word(&words, DETECTION_WORDS).filter(|_| is_transform);
+    let target = find_word(&words, TARGET_WORDS).or_else(detected)?;
     Some((Role::Target, format!("seen by a camera, by '{target}' and '{camera}' in its name")))
+}
+
+/// Whether columns are named after something that only a camera detects, such as `chessboard_data`. Files may have such
+/// names for other reasons.
+pub(super) fn is_detection_of_columns(stream: &Stream) -> bool {
+    let is_of_layout = stream.topic.ends_with("/pose");
+    stream.is_from_table
+        && names_detection(&stream.topic)
+        && (is_of_layout || stream.cells.iter().any(|cell| names_detection(cell)))
+}
+
+/// Whether a name has a word for something that only a camera detects.
+fn names_detection(name: &str) -> bool {
+    let words = split_words(name);
+    let mut known = DETECTION_WORDS.iter().filter(|word| !BODY_WORDS.contains(word));
+    known.any(|word| words.iter().any(|own| own == word))
+}
+
+/// Whether a topic is named after a target that a camera sees, as for a hand-eye calibration.
+pub(crate) fn is_of_camera(topic: &str) -> bool {
+    target_of_camera(topic).is_some() || names_detection(topic)
 }
 
 /// Role of ambiguous names: tracked bodies on a tool, or camera targets and goals. The motion decides.
@@ -544,6 +577,8 @@ mod tests {
             ("/aruco_single/pose", base, none, Role::Target),
             ("target2cam", none, none, Role::Target),
             ("T_cam_target", none, none, Role::Target),
+            ("T_cam_target_tvec", none, none, Role::Target),
+            ("cam2marker", none, none, Role::Target),
             ("/vicon/ee_marker/pose", ("vicon", Unknown), none, weak),
             ("/tcp_target", ("mocap", Unknown), none, weak),
             ("/wrist_tag", ("camera_optical", Unknown), none, Role::Target),

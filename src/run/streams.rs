@@ -115,6 +115,23 @@ impl Stream {
         documented_convention(&self.topic).or_else(named)
     }
 
+    /// Encoding of the rotations, if they are matrices, or the driver or the names of the columns leave no choice.
+    pub(super) fn stated_encoding(&self) -> Option<RotationEncoding> {
+        use RotationLabels::{Quaternion, RotationVector, ScalarFirst};
+        let Some(Columns::Array(array)) = &self.columns else { return None };
+        let by_labels = || {
+            let labels = self.labels?;
+            let is_certain = matches!(labels, Quaternion | ScalarFirst | RotationVector);
+            named_encodings(labels, "").first().copied().filter(|_| is_certain)
+        };
+        let by_driver = || Some(RotationEncoding::Three(documented_convention(&self.topic)?));
+        match array.width {
+            12 | 16 => Some(RotationEncoding::Rows),
+            6 => by_labels().or_else(by_driver),
+            _ => by_labels(),
+        }
+    }
+
     fn mark_empty(&mut self) {
         let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());
         let Some(columns) = self.columns.as_ref().filter(|columns| !has_rows(columns)) else {

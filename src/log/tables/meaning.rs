@@ -636,7 +636,8 @@ fn identify_column(table: &Table, column: &Column, cells: Vec<Cell>) -> ColumnGr
         width
             if names::is_other_quantity(&words)
                 || (names::is_gripper(&words)
-                    && !names::is_pose_of_gripper(&column.name, width)) =>
+                    && !names::is_pose_of_gripper(&column.name, width)
+                    && !are_homogeneous(column)) =>
         {
             (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }

@@ -130,14 +130,18 @@ const GENERIC_WORDS: &[&str] = &[
     "field", "ist", "soll", "a", "j", "jt", "rax", "d", "aipos",
 ];
 /// Words for a tool position.
-const POSITION_WORDS: &[&str] =
-    &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
+const POSITION_WORDS: &[&str] = &[
+    "pos", "position", "positions", "xyz", "translation", "translations", "trans", "tvec", "tvecs",
+    "p", "t",
+];
 /// Words for a tool rotation.
 const ROTATION_WORDS: &[&str] = &[
     "quat", "quats", "quaternion", "quaternions", "orientation", "orientations", "orient", "ori",
     "rot", "rotation", "rotations", "attitude", "drehung", "winkel", "orientierung", "euler",
-    "rpy", "rotvec", "rv", "aa", "axisangle", "theta", "angles", "angle",
+    "rpy", "rotvec", "rv", "rvec", "rvecs", "aa", "axisangle", "theta", "angles", "angle",
 ];
+/// Words for a rotation vector, as in OpenCV.
+const ROTATION_VECTOR_WORDS: &[&str] = &["rotvec", "rv", "rvec", "rvecs", "axisangle"];
 const QUATERNION_WORDS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
 const POSE_WORDS: &[&str] = &[
     "pose", "coords", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand",
@@ -293,8 +297,20 @@ pub(super) fn is_gripper(words: &[String]) -> bool {
 
 /// Whether the name of a gripper denotes its pose, and not its joints.
 pub(super) fn is_pose_of_gripper(name: &str, width: usize) -> bool {
-    let is_whole = matches!(width, 7 | 12 | 16) && has_word(name, &["pose"]);
+    let words = split_words(name);
+    let is_named = contains_any(&words, &["pose"]) || is_gripper_in_base(&words);
+    let is_whole = matches!(width, 7 | 12 | 16) && is_named;
     is_whole || pose_part(name, width).is_some()
+}
+
+/// OpenCV's `gripper2base`.
+fn is_gripper_in_base(words: &[String]) -> bool {
+    const TO: &[&str] = &["2", "to"];
+    const BASES: &[&str] = &["base", "world", "robot"];
+    words.windows(3).any(|words| {
+        let is_one_of = |at: usize, known: &[&str]| known.contains(&words[at].as_str());
+        is_one_of(0, GRIPPER_WORDS) && is_one_of(1, TO) && is_one_of(2, BASES)
+    })
 }
 
 pub(super) fn is_joint_positions(words: &[String]) -> bool {
@@ -519,6 +535,7 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
         names.iter().enumerate().all(|(at, name)| has_axis(name, of(at)))
     };
     let are_named = |known: &[&str]| names.iter().all(|name| has_word(name, known));
+    let are_rotation_vectors = || names.iter().all(|name| is_rotation_vector(&split_words(name)));
     let label = |label: usize| is_all(&|at| PoseComponent::Label(label, at));
     match names.len() {
         4 if are_named(&["wxyz"]) => Some(RotationLabels::ScalarFirst),
@@ -533,7 +550,9 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
         3 if label(1) || (are_named(&["rpy"]) && is_all(&PoseComponent::Rotation)) => {
             Some(RotationLabels::RollPitchYaw)
         }
-        3 if are_named(&["rotvec", "rv", "axisangle"]) && is_all(&PoseComponent::Rotation) => {
+        3 if are_rotation_vectors()
+            && (is_all(&PoseComponent::Rotation) || are_in_one_column(names)) =>
+        {
             Some(RotationLabels::RotationVector)
         }
         3 if label(4) => Some(RotationLabels::Abc),
@@ -541,6 +560,25 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
         3 if label(6) => Some(RotationLabels::Oat),
         _ => None,
     }
+}
+
+fn is_rotation_vector(words: &[String]) -> bool {
+    let is_pair = |pair: &[String]| {
+        matches!(pair[0].as_str(), "rot" | "rotation")
+            && matches!(pair[1].as_str(), "vec" | "vector")
+    };
+    contains_any(words, ROTATION_VECTOR_WORDS) || words.windows(2).any(is_pair)
+}
+
+/// Whether the numbers of one column, or numbered ones, have these names.
+fn are_in_one_column(names: &[&str]) -> bool {
+    names.windows(2).all(|pair| {
+        let is_next = || {
+            let [(stem, number), (next, other)] = [numbered(pair[0])?, numbered(pair[1])?];
+            Some(stem == next && number + 1 == other)
+        };
+        pair[0] == pair[1] || is_next() == Some(true)
+    })
 }
 
 /// Words that name a pose, without those for parts and units.
@@ -551,14 +589,23 @@ pub(super) fn pose_key<'a>(words: impl IntoIterator<Item = &'a String>) -> Vec<S
             || is_unit(word)
             || ["q", "r", "matrix", "mat", "wxyz", "xyzw"].contains(&word)
     };
-    words.into_iter().filter(|word| !is_of_part(word)).cloned().collect()
+    let words: Vec<&String> = words.into_iter().collect();
+    // `vector` of `rotation_vector`, but not of `tool_vector`.
+    let is_vector_of_part = |at: usize| {
+        matches!(words[at].as_str(), "vec" | "vecs" | "vector" | "vectors")
+            && at > 0
+            && is_of_part(words[at - 1])
+    };
+    let is_of_pose = |at: &usize| !is_of_part(words[*at]) && !is_vector_of_part(*at);
+    (0..words.len()).filter(is_of_pose).map(|at| words[at].clone()).collect()
 }
 
 /// The part in a column of bare numbers, and the words that name the pose.
 pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePart)> {
     let words = split_words(name);
     // A hand's position is that of the tool.
-    let is_gripper = is_gripper(&words) && !contains_any(&words, &["hand"]);
+    let is_gripper =
+        is_gripper(&words) && !contains_any(&words, &["hand"]) && !is_gripper_in_base(&words);
     if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper {
         return None;
     }

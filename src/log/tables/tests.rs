@@ -1041,6 +1041,27 @@ fn a_hand_s_position_and_quaternion_are_a_pose_of_that_order() {
 }
 
 #[test]
+fn a_rotation_vector_and_a_translation_are_a_pose() {
+    for (rotation, position) in [
+        ("rvec", "tvec"),
+        ("T_cam_target_rvec", "T_cam_target_tvec"),
+        ("chessboard_data.rotation_vector", "chessboard_data.translation_mm"),
+    ] {
+        let record = |row: usize| {
+            let a = 0.05 * row as f64;
+            format!(
+                r#"{{"time":{a},"{rotation}":[[{a}],[0.2],[0.3]],"{position}":[[{a}],[1],[2]]}}"#
+            )
+        };
+        let text = (0..40).map(record).collect::<Vec<_>>().join(",\n");
+        let log = plain(format!("[{text}]").as_bytes());
+        let pose = topic(&log, position);
+        assert_eq!(pose.cells[3].name, format!("{rotation}[0]"));
+        assert_eq!(pose.cells[3].labels, Some(crate::RotationLabels::RotationVector));
+    }
+}
+
+#[test]
 fn poses_in_two_frames_keep_their_own_rotations() {
     let record = |row: usize| {
         let a = 0.05 * row as f64;

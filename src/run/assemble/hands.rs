@@ -58,15 +58,15 @@ impl Assembly<'_> {
     /// Of a stream with one pose per row, whose encoding is known.
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let stream = &self.streams[index];
-        let declared = self.fitting_declaration(stream);
+        let known = self.known_encoding(stream);
         let is_array = matches!(stream.columns, Some(Columns::Array(_)));
-        if is_array && declared.is_none() {
+        if is_array && known.is_none() {
             return None;
         }
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         self.timing.sample_filter.apply(index, 0, &mut rows);
         let columns = stream.columns.as_ref();
-        let track = poses::from_columns(columns, &rows, declared, self.origin).ok()?.track;
+        let track = poses::from_columns(columns, &rows, known.as_deref(), self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }
 

@@ -1,7 +1,9 @@
 //! Assigns pose and IMU streams to arms and determines their links.
 
+use std::borrow::Cow;
+
 use crate::diagnosis::{FitHypotheses, LastTurn, MovingFrame, fit_model, follows_as_logged};
-use crate::geometry::Pose;
+use crate::geometry::{Pose, Units};
 use crate::robot::LinkId;
 use crate::stream::Columns;
 use crate::time::Stamp;
@@ -14,8 +16,8 @@ use super::super::namespace::NamespaceMatch;
 use super::super::not_audited::{NotAudited, NotAuditedReason};
 use super::super::poses::{self, StampedTrack};
 use super::super::role::{
-    FrameKind, PoseTopic, Role, RoleDecision, array_role, is_driver_frame, may_be_poses, pose_role,
-    role_outside_arm,
+    FrameKind, PoseTopic, Role, RoleDecision, array_role, is_detection_of_columns, is_driver_frame,
+    may_be_poses, pose_role, role_outside_arm,
 };
 use super::super::shared_stream::{CandidateArm, SharedStream};
 use super::super::source_kind::{PoseNames, PoseSourceKind, classify_source};
@@ -71,6 +73,22 @@ impl Assembly<'_> {
     pub(super) fn fitting_declaration(&self, stream: &Stream) -> Option<&Declaration> {
         let declared = self.options.declared.iter().find(|one| one.is_of(&stream.topic));
         declared.filter(|declared| declared.fits(stream.columns.as_ref()))
+    }
+
+    /// Its declaration, else the encoding and the units that its matrices, its driver or the names of its columns state.
+    pub(super) fn known_encoding(&self, stream: &Stream) -> Option<Cow<'_, Declaration>> {
+        if let Some(declared) = self.fitting_declaration(stream) {
+            return Some(Cow::Borrowed(declared));
+        }
+        let Units { length, angle } = stream.named_units;
+        Some(Cow::Owned(Declaration {
+            topic: stream.topic.clone(),
+            place: "names of columns".to_owned(),
+            coding: stream.stated_encoding()?,
+            length: length.unwrap_or_default(),
+            angle: angle.unwrap_or_default(),
+            is_of_vendor: false,
+        }))
     }
 
     pub(super) fn assign_pose(&mut self, index: usize) -> Result<(), RunError> {
@@ -286,6 +304,7 @@ impl Assembly<'_> {
     ) -> RoleDecision {
         let setting = self
             .topic_settings(stream)
+            .filter(|settings| !(settings.of_columns && is_detection_of_columns(stream)))
             .and_then(|settings| Some((settings.role?, &settings.place)));
         if let Some((role, place)) = setting
             && !self.is_transform(stream)
@@ -301,6 +320,7 @@ impl Assembly<'_> {
             }
         }
         if let Some(Columns::Array(array)) = &stream.columns {
+            let is_declared = is_declared && !is_detection_of_columns(stream);
             let role = array_role(&stream.topic, array.width, is_declared);
             return match role {
                 (Role::Candidate { presumed: false }, _) if !may_be_poses(array) => (

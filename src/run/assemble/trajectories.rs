@@ -11,7 +11,7 @@ use crate::geometry::{Rotation, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
-use crate::run::role::{Role, array_role, may_be_poses, target_of_camera};
+use crate::run::role::{Role, array_role, is_detection_of_columns, may_be_poses, target_of_camera};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, are_of_one_body, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
@@ -153,10 +153,11 @@ impl Assembly<'_> {
         };
         // Files have names for other reasons than topics.
         let is_other_topic = |index: &usize| {
-            let topic = &self.streams[*index].topic;
-            !is_measured(index)
-                && self.options.reference.is_none()
-                && (topic.starts_with('/') || target_of_camera(topic).is_some())
+            let stream = &self.streams[*index];
+            let is_of_topic =
+                || stream.topic.starts_with('/') || target_of_camera(&stream.topic).is_some();
+            self.options.reference.is_none()
+                && (is_detection_of_columns(stream) || (!is_measured(index) && is_of_topic()))
         };
         let all =
             (0..self.streams.len()).filter(|index| has_poses(index) && !is_other_topic(index));
@@ -182,8 +183,8 @@ impl Assembly<'_> {
     fn logged_poses(&self, index: usize) -> Option<StampedTrack<PoseTrack>> {
         let stream = &self.streams[index];
         let rows = self.timing.filtered_rows(&self.streams, index, 0, self.options.max_latency_s);
-        let declared = self.fitting_declaration(stream);
-        poses::from_columns(stream.columns.as_ref(), &rows, declared, self.origin).ok()
+        let known = self.known_encoding(stream);
+        poses::from_columns(stream.columns.as_ref(), &rows, known.as_deref(), self.origin).ok()
     }
 
     fn unusable_reference(&self, topic: &str) -> RunError {

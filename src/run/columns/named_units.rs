@@ -14,7 +14,9 @@ pub fn named_units(columns: &[String]) -> Units {
         (&["deg", "degs", "degree", "degrees", "grad", "grados"], AngleUnit::Degree),
     ];
     let last_word = |name: &str| {
-        let mut words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
+        let mut words = without_index(name)
+            .split(|c: char| !c.is_alphanumeric())
+            .filter(|word| !word.is_empty());
         words.next_back().unwrap_or_default().to_lowercase()
     };
     let length = |name: &String| {
@@ -31,6 +33,13 @@ pub fn named_units(columns: &[String]) -> Units {
         length: common(position.iter().map(length)).map(LengthScale::from_m),
         angle: common(rotation.iter().map(angle)).filter(|_| rotation.len() == 3),
     }
+}
+
+/// Without the index of a number in a list.
+fn without_index(name: &str) -> &str {
+    let split = name.strip_suffix(']').and_then(|name| name.rsplit_once('['));
+    let is_index = |index: &str| index.bytes().all(|byte| byte.is_ascii_digit());
+    split.filter(|(_, index)| is_index(index)).map_or(name, |(name, _)| name)
 }
 
 /// The value that all share.
@@ -57,6 +66,7 @@ mod tests {
                 Some(AngleUnit::Degree),
             ),
             (["x_mm", "y_m", "z", "rx", "ry", "rz_rad"], None, None),
+            (["p_mm[0]", "p_mm[1]", "p_mm[2]", "r[0]", "r[1]", "r[2]"], Some(1e-3), None),
         ] {
             let units = named_units(&names.map(str::to_owned));
             assert_eq!(

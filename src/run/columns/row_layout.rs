@@ -1,6 +1,6 @@
 //! The meaning of a table's columns as a value of `--columns`.
 
-use crate::geometry::{AngleUnit, LengthScale, Units};
+use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units};
 use crate::log::{
     Cell, LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
 };
@@ -146,9 +146,16 @@ impl Assignment {
                         }));
                     }
                     (3 | 4, _) if is_run(rotation) => {
+                        let coding = match (count, labels) {
+                            (3, Some(RotationLabels::RotationVector)) => {
+                                Some(RotationEncoding::Three(Convention::RotVec))
+                            }
+                            (4, Some(RotationLabels::ScalarFirst)) => Some(RotationEncoding::Wxyz),
+                            _ => None,
+                        };
                         let own = rotation.iter().enumerate();
                         parts.extend(own.map(|(at, &place)| {
-                            (place, part(Meaning::Rotation(None), of_rotation, (at, count)))
+                            (place, part(Meaning::Rotation(coding), of_rotation, (at, count)))
                         }));
                     }
                     // Without its rotation, the pose is a position.
@@ -171,7 +178,9 @@ pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignme
         let are_joints = |topic: &Topic| matches!(topic.columns, Some(Columns::Joints(_)));
         let is_alike =
             |other: &&Topic| role_of(other) == Some(role) && are_joints(other) == are_joints(topic);
-        let arm = match (own.clone().filter(is_alike).count() > 1, topic.name.split_once('/')) {
+        // Its name makes it a target.
+        let is_named = role == Role::Target || own.clone().filter(is_alike).count() > 1;
+        let arm = match (is_named, topic.name.split_once('/')) {
             (false, None) => None,
             (false, Some((arm, _))) if !["first", "second"].contains(&arm) => None,
             (false, Some((arm, _))) => Some(arm.to_owned()),
