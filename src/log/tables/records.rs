@@ -1,7 +1,8 @@
 //! Records as text: JSON, JSON lines and YAML. Each object is a row; nested names are joined by dots, and lists of
 //! numbers are vectors.
 //!
-//! A document is a list of records, one record for each key, or one list for each column. Several YAML documents,
+//! A document is a list of records, one record for each key, or one list for each column, whose rows may be numbered keys.
+//! Several YAML documents,
 //! as `rostopic echo` prints them, are one record each. Several JSON documents, as a program that appends to a file
 //! writes them, contain the rows of all.
 
@@ -134,7 +135,7 @@ pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
             };
         }
     };
-    read_document(&document, context)
+    read_document(document, context)
 }
 
 /// Documents one after another, each over several lines; `None` unless there are two.
@@ -265,7 +266,7 @@ pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     }
     documents.retain(|document| !document.trim().is_empty());
     if let [only] = documents.as_slice() {
-        return read_document(&parse_yaml(only)?, context);
+        return read_document(parse_yaml(only)?, context);
     }
     let mut records = Records::default();
     let mut malformed: Option<(u64, String)> = None;
@@ -299,19 +300,50 @@ fn check_memory(bytes: usize, memory: &MemoryBudget) -> Result<(), OutOfMemory> 
     memory.check_available((bytes as u64).saturating_mul(VALUE_BYTES_PER_BYTE))
 }
 
-fn read_document(document: &Value, context: &mut ReadContext) -> Result<Episodes, TableError> {
-    let mut records = Records { rate_hz: rate_in(document), ..Records::default() };
-    match document {
+fn read_document(document: Value, context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let document = with_numbered_lists(document);
+    let mut records = Records { rate_hz: rate_in(&document), ..Records::default() };
+    match &document {
         Value::Object(members) if let Shape::Columns(columns) = Shape::of(members) => {
             return read_columns(&columns, records, context);
         }
-        Value::Array(_) | Value::Object(_) => records.push_rows(document, context.memory)?,
+        Value::Array(_) | Value::Object(_) => records.push_rows(&document, context.memory)?,
         _ => return Err("it contains no records".into()),
     }
     if records.columns.is_empty() {
         return Err("it contains no rows of numbers".into());
     }
     records.finish(context)
+}
+
+/// Makes a list of each member whose keys are consecutive numbers from 0 or 1, as in `{"hand": {"1": …, "2": …}}`. These are
+/// rows, unless the members themselves are numbered alike.
+fn with_numbered_lists(mut document: Value) -> Value {
+    let Value::Object(members) = &mut document else { return document };
+    let is_numbered = |value: &Value| value.as_object().is_some_and(has_numbers_as_keys);
+    let stem = |key: &str| key.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned();
+    let keys: Vec<&String> =
+        members.iter().filter(|(_, value)| is_numbered(value)).map(|(key, _)| key).collect();
+    let stems: BTreeSet<String> = keys.iter().map(|key| stem(key)).collect();
+    if stems.len() < keys.len() {
+        return document;
+    }
+    for value in members.values_mut().filter(|value| is_numbered(value)) {
+        let Value::Object(rows) = value.take() else { continue };
+        let mut rows: Vec<(usize, Value)> =
+            rows.into_iter().filter_map(|(key, row)| Some((key.parse().ok()?, row))).collect();
+        rows.sort_by_key(|(number, _)| *number);
+        *value = rows.into_iter().map(|(_, row)| row).collect();
+    }
+    document
+}
+
+fn has_numbers_as_keys(members: &Map<String, Value>) -> bool {
+    let numbers: Option<BTreeSet<usize>> = members.keys().map(|key| key.parse().ok()).collect();
+    numbers.is_some_and(|numbers| {
+        let first = numbers.first().copied().unwrap_or(usize::MAX);
+        first <= 1 && members.len() > 1 && numbers.into_iter().eq(first..first + members.len())
+    })
 }
 
 /// A table for the most frequent length, then one for each other length with times of its own.

@@ -117,6 +117,26 @@ fn positions_with_as_many_velocities_are_joints() {
 }
 
 #[test]
+fn consecutive_numbers_as_keys_are_rows() {
+    let numbered = |row: &dyn Fn(usize) -> serde_json::Value| -> serde_json::Value {
+        let rows = (1..=ROWS).map(|number| (number.to_string(), row(number - 1)));
+        serde_json::Value::Object(rows.collect())
+    };
+    let times = numbered(&|row| json!(0.01 * row as f64));
+    let joints = numbered(&|row| json!(q(row)));
+    let text = json!({"robot": "arm", "time": times, "joint_positions": joints}).to_string();
+    assert_has_joints(text.as_bytes(), "joint_positions", "json");
+    // Rows that are numbered alike have numbered columns.
+    let record = |row: usize| {
+        let numbers = std::iter::once(0.01 * row as f64).chain(q(3 * row));
+        let columns = (0..).zip(numbers).map(|(at, it): (usize, f64)| (at.to_string(), json!(it)));
+        (format!("row{row}"), serde_json::Value::Object(columns.collect()))
+    };
+    let text = serde_json::Value::Object((0..ROWS).map(record).collect()).to_string();
+    assert_eq!(plain(text.as_bytes()).tables[0].numbers.len(), 7);
+}
+
+#[test]
 fn stamps_of_messages_keep_every_nanosecond() {
     let line = |row: usize| {
         let stamp = json!({"sec": 1_700_000_000, "nanosec": 123_456_789 + row});
