@@ -8,8 +8,8 @@ use csv::{ReaderBuilder, Trim};
 
 use super::file_format::{self, FileFormat};
 use super::tables::{
-    LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text, names_and_rows,
-    rows_of_lists, to_utf8,
+    JoinedRows, LayoutGroup, LayoutTime, TableFormat, delimiter_of_numbers, is_text,
+    names_and_rows, rows_of_lists, to_utf8,
 };
 use super::{ColumnSettings, LogError, Meaning, RowLayout, local};
 use ground::geometry::{
@@ -275,7 +275,13 @@ pub fn read_number_table(path: &Path) -> Result<Option<NumberTable>, LogError> {
 }
 
 fn read_bytes(path: &Path) -> Result<Option<Vec<u8>>, LogError> {
-    let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
+    let Some(path) = local(path) else { return Ok(None) };
+    if path.is_dir() {
+        return Ok(JoinedRows::in_folder(&path).map(|rows| rows.content));
+    }
+    if !path.is_file() {
+        return Ok(None);
+    }
     let mut bytes = Vec::new();
     let read = File::open(&path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
     read.map_err(|source| LogError::Io { path, source })?;

@@ -13,7 +13,7 @@ use super::memory_budget::MemoryBudget;
 use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
-use super::tables::{self, TableFormat, Tables};
+use super::tables::{self, JoinedRows, TableFormat, Tables};
 use super::unpack::{UnpackBudget, Unpacked};
 use super::{LogError, RemoteFault, file_format, mcap, remote, rosbag1, rosbag2, rtde, unpack};
 use ground::boundary::StagedFile;
@@ -29,6 +29,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut rtde = rtde::Recording::default();
     let mut memory = MemoryBudget::new(options.max_unpacked_gib);
     let inputs = inputs(paths, options, &mut intake)?;
+    let inputs = tables::join_inputs(inputs, &mut intake);
     reject_duplicates(&inputs)?;
     let mut tables = Tables::new(&inputs);
     if let Some(progress) = &options.progress {
@@ -115,10 +116,14 @@ fn inputs(
                 inputs.extend(contained(path, tables::dataset_files(path)?, intake)?);
             }
             None if tables::is_store(path) => inputs.push(LogInput::local(path.clone())),
-            None if path.is_dir() => {
-                let files = rosbag2::files_of(path, intake)?;
-                inputs.extend(contained(path, files, intake)?);
-            }
+            None if path.is_dir() => match rosbag2::files_of(path, intake) {
+                Ok(files) => inputs.extend(contained(path, files, intake)?),
+                Err(error @ (LogError::Directory { .. } | LogError::Runs { .. })) => {
+                    let rows = JoinedRows::in_folder(path).ok_or(error)?;
+                    inputs.push(rows.into_input(path, intake));
+                }
+                Err(error) => return Err(error),
+            },
             None => inputs.push(LogInput::local(path.clone())),
         }
         inputs[before..].iter_mut().for_each(|input| input.episode.clone_from(&episode));

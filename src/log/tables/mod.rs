@@ -16,6 +16,7 @@ mod matlab;
 mod meaning;
 mod names;
 mod npy;
+mod one_row_files;
 mod pages;
 mod parquet;
 mod records;
@@ -74,6 +75,7 @@ pub(super) use self::matlab::MAGIC as MATLAB_MAGIC;
 pub(super) use self::meaning::LayoutColumns;
 pub use self::names::COMMAND_WORDS;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
+pub(crate) use self::one_row_files::{JoinedRows, join_inputs};
 pub(super) use self::records::{
     has_times as has_record_times, is_nested_yaml, is_yaml_list, looks_like_json, looks_like_yaml,
 };

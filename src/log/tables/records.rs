@@ -28,7 +28,7 @@ const HEAD_KEYS: usize = 64;
 const TOPIC_KEYS: [&str; 4] = ["topic", "channel", "stream", "type"];
 const MAX_TOPICS: usize = 64;
 /// Of a pose, as a nested list.
-const MATRIX_ROWS: usize = 4;
+pub(super) const MATRIX_ROWS: usize = 4;
 
 /// Whether a text starts like a JSON object or a list of objects or numbers.
 pub(crate) fn looks_like_json(bytes: &[u8]) -> bool {
@@ -294,6 +294,30 @@ fn parse_yaml(document: &str) -> Result<Value, TableError> {
     let options = serde_saphyr::options! { budget: budget };
     serde_saphyr::from_str_with_options(document, options)
         .map_err(|error| format!("the YAML cannot be read: {}", first_line(&error)).into())
+}
+
+/// Names in a JSON document that may be a single record. `None` if it has rows.
+pub(super) fn names_in_json_record(bytes: &[u8]) -> Option<BTreeSet<String>> {
+    names_in_record(&serde_json::from_slice(trimmed(bytes)).ok()?)
+}
+
+/// Names in a YAML document that may be a single record. `None` if it has rows.
+pub(super) fn names_in_yaml_record(bytes: &[u8]) -> Option<BTreeSet<String>> {
+    let text = std::str::from_utf8(trimmed(bytes)).ok()?;
+    names_in_record(&parse_yaml(text).ok()?)
+}
+
+fn names_in_record(document: &Value) -> Option<BTreeSet<String>> {
+    let members = document.as_object()?;
+    let is_record = match Shape::of(members) {
+        Shape::One => true,
+        // They may be matrices.
+        Shape::Columns(lists) => lists.iter().all(|(_, list)| list.len() <= MATRIX_ROWS),
+        Shape::ByKey(_) | Shape::Lists(_) => false,
+    };
+    let mut names = Vec::new();
+    collect_names(members, "", 0, &mut names);
+    is_record.then(|| names.into_iter().collect())
 }
 
 fn check_memory(bytes: usize, memory: &MemoryBudget) -> Result<(), OutOfMemory> {

@@ -167,3 +167,23 @@ fn a_folder_of_signals_is_one_run() {
     let refused = read().expect_err("refused");
     assert!(matches!(refused, LogError::Runs { .. }), "{refused}");
 }
+
+#[test]
+fn files_with_one_row_each_are_one_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let q = |row: usize| (0..6).map(|joint| position(0.01 * row as f64, joint)).collect::<Vec<_>>();
+    let file = |row: usize| {
+        let path = folder.path().join(format!("row_{row}.json"));
+        let record = serde_json::json!({"time": 0.01 * row as f64, "joint_positions": q(row)});
+        fs::write(&path, record.to_string()).expect("a file");
+        path
+    };
+    let files: Vec<_> = (0..12).rev().map(file).collect();
+    for paths in [files.as_slice(), &[folder.path().to_owned()]] {
+        let log = open(paths, &ReadOptions::default()).expect("a log");
+        assert_eq!(joints(&log, "joint_positions").1, (0..12).map(q).collect::<Vec<_>>());
+        assert_eq!(log.files[0].path, folder.path());
+        let note = "12 files with one row each, row_0.json to row_11.json";
+        assert!(log.notes.iter().any(|own| own.what.contains(note)), "{:?}", log.notes);
+    }
+}
