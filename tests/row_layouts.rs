@@ -156,6 +156,32 @@ fn a_table_without_times_is_refused_with_its_columns_and_the_rate_of_its_velocit
 }
 
 #[test]
+fn times_in_an_unknown_unit_are_asked_for_their_unit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let all = CLEAN.rows();
+    let row = |at: usize, has_velocities: bool| -> Vec<f64> {
+        let rate = |joint: usize| (all[at + 1][joint] - all[at - 1][joint]) / (2.0 * STEP_S);
+        let rates: Vec<f64> = (1..=6).filter(|_| has_velocities).map(rate).collect();
+        // Whole numbers of ms would be recognised.
+        [&[1e3 * all[at][0] + 0.3], &all[at][1..7], &rates, &all[at][7..]].concat()
+    };
+    for (has_velocities, rates, qd) in
+        [(true, "qd1,qd2,qd3,qd4,qd5,qd6,", "qd[6],"), (false, "", "")]
+    {
+        let rows: Vec<Vec<f64>> = (1..all.len() - 1).map(|at| row(at, has_velocities)).collect();
+        let names = format!("Time,q1,q2,q3,q4,q5,q6,{rates}x,y,z,qx,qy,qz,qw\n");
+        let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];
+        let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+        assert_eq!(refusal.what.contains("imply that it counts ms"), has_velocities, "{refusal}");
+        let layout = format!("t:ms,q[6],{qd}x,y,z,qx,qy,qz,qw");
+        assert!(refusal.remedy.contains(&format!("--columns '{layout}'")), "{refusal}");
+        let pasted = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
+        assert!(!fault_codes(&pasted).contains(&"VEL001"), "{:?}", pasted.findings);
+        assert_eq!(pasted.error, None);
+    }
+}
+
+#[test]
 fn a_proposal_states_the_units_in_the_names_of_a_pose() {
     let folder = tempfile::tempdir().expect("a folder");
     let convention: Convention = "rotvec".parse().expect("a convention");

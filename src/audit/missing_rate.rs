@@ -108,6 +108,19 @@ fn question(options: &Options, what: &str, rows: usize) -> Option<(String, Strin
         layouts.iter().map(|layout| option(layout, rate)).collect::<Vec<_>>().join(" ")
     };
     let condition = if is_certain { "" } else { "if these are the columns, " };
+    if let Some((unit, layout)) = with_time_unit(&log, &layouts, rate_hz) {
+        let layout = option(&layout, "");
+        return Some(match rate_hz {
+            Some(_) => (
+                format!("{what}; recorded velocities imply that it counts {unit}"),
+                format!("{condition}use {layout}"),
+            ),
+            None => (
+                what.to_owned(),
+                format!("{condition}use {layout}, or the true unit of its times (s, ms, us, ns)"),
+            ),
+        });
+    }
     let or_times = format!("or pass a file with the times of the {rows} rows as well");
     Some(match rate_hz {
         Some(rate_hz) => (
@@ -141,6 +154,34 @@ fn question(options: &Options, what: &str, rows: usize) -> Option<(String, Strin
             (what.to_owned(), remedy)
         }
     })
+}
+
+/// The unit of a column that is named as a time, by the rate that velocities imply, otherwise a likely one, and the
+/// layout with these times.
+fn with_time_unit(
+    log: &Log,
+    layouts: &[FileLayout],
+    rate_hz: Option<f64>,
+) -> Option<(&'static str, FileLayout)> {
+    const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)];
+    /// Of the implied rate.
+    const MAX_DEVIATION: f64 = 0.1;
+    /// Longer steps would be read as s if they were fractions of them.
+    const MAX_STEP_S: f64 = 2.0;
+    /// It counts rows.
+    const STEP_OF_COUNTER: f64 = 1.0;
+    let ([table], [FileLayout { file, layout }]) = (log.tables.as_slice(), layouts) else {
+        return None;
+    };
+    let (cell, step) = table.time_without_unit?;
+    let index = table.numbers.iter().position(|number| number.at == Some(cell))?;
+    let is_likely = |unit_s: f64| match rate_hz {
+        Some(rate_hz) => (unit_s * step * rate_hz - 1.0).abs() <= MAX_DEVIATION,
+        None => step != STEP_OF_COUNTER && unit_s * step <= MAX_STEP_S,
+    };
+    let (unit, unit_s) = UNITS.into_iter().find(|(_, unit_s)| is_likely(*unit_s))?;
+    let layout = layout.with_times(index, unit_s)?;
+    Some((unit, FileLayout { file: file.clone(), layout }))
 }
 
 /// For a table of poses only.

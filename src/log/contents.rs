@@ -221,6 +221,9 @@ pub struct TableShape {
     pub rate_hz: Option<f64>,
     /// Whether its rows have no times; the stamps are those of an assumed rate.
     pub lacks_times: bool,
+    /// Column that is named as a time and increases, but in an unknown unit, and its median step. Set if the rows have no
+    /// times.
+    pub time_without_unit: Option<(Cell, f64)>,
     /// The meaning of its columns as a value of `--columns`.
     pub layout: Option<String>,
     /// Why the layout is only a proposal; `None` if it is how the columns were read.

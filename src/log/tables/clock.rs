@@ -452,6 +452,19 @@ fn clock_of_numbers(table: &Table, cell: Cell, own: &Column) -> Option<Clock> {
     Some(Clock { description, unnamed_column: Some(name), ..clock })
 }
 
+/// The first column that is named as a time and increases, but in an unknown unit, and its median step.
+pub(super) fn time_without_unit(table: &Table) -> Option<(Cell, f64)> {
+    let named = table.columns.iter().enumerate();
+    let mut named = named.filter(|(_, column)| column.width == 1 && is_time(&column.name));
+    named.find_map(|(column, own)| {
+        let steps = own.values.windows(2).map(|pair| pair[1] - pair[0]);
+        let (back, step) = backward_and_median_step(steps)?;
+        let is_open =
+            !falls_often(back, own.values.len()) && from_column(None, own, None).is_none();
+        is_open.then_some((Cell { column, part: 0 }, step))
+    })
+}
+
 fn why_not_times(column: &Column) -> String {
     let steps = column.values.windows(2).map(|pair| pair[1] - pair[0]);
     match backward_and_median_step(steps) {

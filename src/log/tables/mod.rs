@@ -191,6 +191,7 @@ impl Table {
             time_unit_s: clock.unit_s,
             rate_hz: clock.rate_hz,
             lacks_times: false,
+            time_without_unit: None,
             layout: None,
             layout_reason: None,
             given_layout: None,
@@ -705,6 +706,7 @@ impl Tables {
             given_layout: row_layout.cloned(),
             rate_hz: shape.rate_hz.filter(|_| !lacks_times),
             lacks_times,
+            time_without_unit: lacks_times.then(|| clock::time_without_unit(table)).flatten(),
             ..shape
         };
         let shape = intake.table(shape);

@@ -347,6 +347,24 @@ impl RowLayout {
         &self.items
     }
 
+    /// Same with times in a column that it leaves out or open, in this unit. `None` if the column has another meaning.
+    pub fn with_times(&self, index: usize, unit_s: f64) -> Option<Self> {
+        let is_in =
+            |(first, item): (usize, &LayoutItem)| (first..first + item.count).contains(&index);
+        let at = self.places().position(is_in)?;
+        let (first, item) = self.places().nth(at)?;
+        if !matches!(item.meaning, Meaning::Ignored | Meaning::Open) {
+            return None;
+        }
+        let part = |count: usize| LayoutItem { count, ..item.clone() };
+        let time = LayoutItem { time_unit_s: Some(unit_s), ..LayoutItem::new(Meaning::Time, 1) };
+        let parts = [part(index - first), time, part(first + item.count - index - 1)];
+        let parts = parts.into_iter().filter(|part| part.count > 0);
+        let (before, after) = (&self.items[..at], &self.items[at + 1..]);
+        let items = before.iter().cloned().chain(parts).chain(after.iter().cloned());
+        Self::new(items.collect(), None).ok()
+    }
+
     /// The pose whose first number is at `index` of a row.
     fn pose_at(&self, index: usize) -> Option<LayoutGroup> {
         self.groups().into_iter().find(|group| group.pose().first() == Some(&index))
