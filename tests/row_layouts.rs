@@ -204,6 +204,22 @@ fn a_proposal_states_the_units_in_the_names_of_a_pose() {
 }
 
 #[test]
+fn a_proposal_leaves_out_the_poses_of_objects() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let row = |row: &Vec<f64>| [&row[1..7], &row[7..14]].concat();
+    let rows: Vec<Vec<f64>> = CLEAN.rows().iter().map(row).collect();
+    for object in ["Box", "object"] {
+        let [position, rotation] = ["Position", "Orientation"].map(|it| format!("{object}_{it}"));
+        let names = format!(
+            "q1,q2,q3,q4,q5,q6,{position}_X,{position}_Y,{position}_Z,{rotation}_X,{rotation}_Y,{rotation}_Z,{rotation}_W\n"
+        );
+        let logs = [write(folder.path(), "run.csv", &(names + &text(&rows)))];
+        let refusal = audit_with(&logs, Some("ur5e"), None).expect_err("a refusal");
+        assert!(refusal.remedy.contains("--columns 'q[6],_[7]@RATE'"), "{refusal}");
+    }
+}
+
+#[test]
 fn a_listing_shows_the_columns_of_a_table_without_times() {
     let folder = tempfile::tempdir().expect("a folder");
     let rows: Vec<Vec<f64>> = CLEAN.rows().iter().map(|row| row[1..].to_vec()).collect();

@@ -425,6 +425,11 @@ fn decisive_words(topic: &str) -> Vec<String> {
     segments.flatten().chain(split_words(name)).collect()
 }
 
+/// Whether poses are named after an object, and not after a camera that sees it.
+pub(super) fn names_object(topic: &str) -> bool {
+    target_of_camera(topic).is_none() && carried_word(&split_words(topic)).is_some()
+}
+
 /// Word of an object, unless the name also has a tool.
 fn carried_word(topic_words: &[String]) -> Option<&'static str> {
     find_word(topic_words, CARRIED_WORDS).filter(|_| find_word(topic_words, TOOL_WORDS).is_none())

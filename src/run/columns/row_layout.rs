@@ -4,7 +4,7 @@ use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Unit
 use crate::log::{
     Cell, LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
 };
-use crate::run::role::{Role, role_by_content, role_outside_arm};
+use crate::run::role::{Role, names_object, role_by_content, role_outside_arm};
 use crate::stream::{Columns, JointColumns};
 
 use super::cells::is_unidentified;
@@ -169,8 +169,14 @@ impl Assignment {
 
 /// Assignments of the topics of one table.
 pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignment>> {
+    let is_object = |topic: &Topic| {
+        let is_pose = matches!(topic.columns, Some(Columns::Poses(_) | Columns::Array(_)));
+        is_pose && names_object(&topic.name)
+    };
     let own = topics.iter().filter(|topic| {
-        topic.cells.first().is_some_and(|cell| cell.table == table) && !is_unidentified(topic)
+        topic.cells.first().is_some_and(|cell| cell.table == table)
+            && !is_unidentified(topic)
+            && !is_object(topic)
     });
     let mut assigned = Vec::new();
     for topic in own.clone() {
