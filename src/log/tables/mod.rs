@@ -234,6 +234,50 @@ impl Table {
         self.notes.push(format!("read as {count} matrices of 4×4 numbers, each a row"));
     }
 
+    /// Leaves out the rows of zeros at the end, as of an array that was made for more rows: all numbers are zero, or the
+    /// times, which were not before.
+    fn drop_zeros_at_end(&mut self) {
+        if !self.text_columns.is_empty() {
+            return;
+        }
+        let zeros_from = |columns: &[&Column]| -> usize {
+            let is_zero = |row: usize| {
+                columns.iter().all(|column| {
+                    let own = column.values.get(row * column.width..(row + 1) * column.width);
+                    own.is_some_and(|own| own.iter().all(|number| *number == 0.0))
+                })
+            };
+            (0..self.rows).rev().take_while(|row| is_zero(*row)).last().unwrap_or(self.rows)
+        };
+        let all: Vec<&Column> = self.columns.iter().chain(&self.times).collect();
+        let is_time = |column: &Column| column.width == 1 && clock::is_time(&column.name);
+        let times = self.columns.iter().filter(|column| is_time(column)).chain(&self.times);
+        let ends: Vec<(usize, &Column)> =
+            times.map(|column| (zeros_from(&[column]), column)).collect();
+        // Nanoseconds after whole seconds may be zero.
+        let increases = |(end, column): &(usize, &Column)| {
+            column.values.iter().take(*end).is_sorted_by(|one, next| one <= next)
+        };
+        // Velocities in a file of their own may end with zeros.
+        let is_alone = !ends.is_empty() || !self.is_one_of_several;
+        let ends = ends.into_iter().filter(increases).map(|(end, _)| end);
+        let ends = ends.chain(is_alone.then(|| zeros_from(&all)));
+        // Numbers that are always zero state nothing.
+        let Some(rows) = ends.filter(|end| (1..self.rows).contains(end)).min() else { return };
+        self.notes.push(format!(
+            "its last {} rows of {} hold zeros, as an array that is made in advance, and are left out",
+            self.rows - rows,
+            self.rows
+        ));
+        self.rows = rows;
+        for column in self.columns.iter_mut().chain(&mut self.times) {
+            column.values.truncate(rows * column.width);
+            column.billionths.truncate(rows * column.width);
+        }
+        self.lines.truncate(rows);
+        self.exact_times.values_mut().for_each(|times| times.truncate(rows));
+    }
+
     fn column_names(&self) -> Vec<String> {
         self.columns.iter().map(|column| column.name.clone()).collect()
     }
@@ -574,6 +618,7 @@ impl Tables {
             for loss in &table.losses {
                 loss.report(&label, context.losses);
             }
+            table.drop_zeros_at_end();
             table.notes.drain(..).for_each(|note| intake.note(path, note));
             // The losses explain why it is empty.
             if table.columns.is_empty() && !table.losses.is_empty() {

@@ -1041,6 +1041,29 @@ fn a_hand_s_position_and_quaternion_are_a_pose_of_that_order() {
 }
 
 #[test]
+fn rows_of_zeros_at_the_end_are_left_out() {
+    let names = ["t", "q1", "q2", "q3", "q4"];
+    let q = |row: usize, at: usize| (0.1 * row as f64 + at as f64).sin();
+    // All numbers, or the times only; zeros of a joint are data.
+    for (is_zero, rows) in [
+        ((|row, _| row >= 30) as fn(usize, usize) -> bool, 30),
+        (|row, at| row >= 30 && at == 0, 30),
+        (|row, at| row >= 30 && at == 1, 40),
+        (|row, at| row == 30 && at > 0, 40),
+    ] {
+        let cell = |row: usize, at: usize| match at {
+            _ if is_zero(row, at) => 0.0,
+            0 => 0.01 * (row + 1) as f64,
+            _ => q(row, at),
+        };
+        let log = plain(csv(&names, 40, cell).as_bytes());
+        assert_eq!(joints(&log, "q").1.len(), rows);
+        let notes = log.notes.iter().filter(|note| note.what.contains("last 10 rows of 40"));
+        assert_eq!(notes.count(), usize::from(rows == 30), "{:?}", log.notes);
+    }
+}
+
+#[test]
 fn a_rotation_vector_and_a_translation_are_a_pose() {
     for (rotation, position) in [
         ("rvec", "tvec"),
