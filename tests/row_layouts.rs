@@ -252,6 +252,9 @@ fn a_table_of_poses_or_of_configurations_is_not_only_asked_for_its_rate() {
         assert!(poses.what.contains(&asks), "{poses}");
         assert!(poses.remedy.contains(&format!("--columns '{layout}@RATE'")), "{poses}");
     }
+    // One other column is no arm.
+    let poses = refusal("", 6..14, 20);
+    assert!(poses.what.contains("(_,x,y,z,rot[4]), without joint positions"), "{poses}");
     let at_rest = refusal("q1,q2,q3,q4,q5,q6\n", 1..7, 787);
     assert!(at_rest.remedy.contains("seem to be configurations at rest"), "{at_rest}");
 }

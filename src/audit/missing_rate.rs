@@ -5,7 +5,7 @@ use crate::log::{
     self, Container, FileLayout, LayoutItem, Log, LogError, Meaning, RowLayout, SourceName,
 };
 use crate::report::Trouble;
-use crate::run::{identify_columns, is_of_camera, may_be_poses};
+use crate::run::{identify_columns, is_of_camera, unnamed_poses};
 use crate::stats::mean;
 use crate::stream::{Columns, JointColumns};
 
@@ -94,7 +94,7 @@ fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
 /// The problem and the remedy. `None` if the columns are unknown as well.
 fn question(options: &Options, what: &str, rows: usize) -> Option<(String, String)> {
     let Some((log, layouts, is_certain)) = propose_layouts(options) else {
-        return Some(without_joints(&unnamed_poses(options)?));
+        return Some(of_unnamed_poses(&layout_of_unnamed_poses(options)?, what));
     };
     if let [layout] = layouts.as_slice()
         && log.tables.len() == 1
@@ -196,13 +196,73 @@ fn without_joints(layout: &FileLayout) -> (String, String) {
     )
 }
 
+/// For a table whose only known columns are poses without names. As many others as an arm has joints may be these.
+fn of_unnamed_poses(layout: &RowLayout, what: &str) -> (String, String) {
+    const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
+    let own = |layout: &RowLayout| FileLayout { file: None, layout: layout.clone() };
+    let as_joints = |item: &LayoutItem| match item.meaning {
+        Meaning::Ignored if JOINTS.contains(&item.count) => {
+            LayoutItem { meaning: Meaning::Joints, ..item.clone() }
+        }
+        _ => item.clone(),
+    };
+    let with_joints = RowLayout::new(layout.items().iter().map(as_joints).collect(), None);
+    match with_joints {
+        Ok(with_joints) if with_joints != *layout => (
+            format!("{what}; {layout} are poses"),
+            format!(
+                "if the others are joints, use {} with the true rows per second as RATE, or, if each row is a \
+                 configuration at rest, `poseaudit calibrate` with {}, or quat:wxyz",
+                option(&own(&with_joints), "@RATE"),
+                option(&own(&with_joints), "").replace("rot[4]", "quat:xyzw"),
+            ),
+        ),
+        _ if count_positions(layout) == 1 => without_joints(&own(layout)),
+        _ => (
+            format!("{what}; {layout} are poses"),
+            format!(
+                "use {} with the true rows per second as RATE; the poses are compared with each other",
+                option(&own(layout), "@RATE")
+            ),
+        ),
+    }
+}
+
 /// Layout of a table with the numbers of positions and unit quaternions, and no names.
-fn unnamed_poses(options: &Options) -> Option<FileLayout> {
+fn layout_of_unnamed_poses(options: &Options) -> Option<RowLayout> {
     let log = open_at_assumed_rate(options, None)?;
-    let [topic] = log.topics.as_slice() else { return None };
+    let ([topic], [table]) = (log.topics.as_slice(), log.tables.as_slice()) else { return None };
     let Some(Columns::Array(array)) = &topic.columns else { return None };
-    let are_poses = array.unnamed && array.width == 7 && may_be_poses(array);
-    are_poses.then(|| "xyz,rot[4]".parse().ok())?
+    // Text between numbers would move the columns.
+    if !array.unnamed || table.numbers.len() != array.width {
+        return None;
+    }
+    let poses = unnamed_poses(array);
+    let arm = |pose: usize| (poses.len() > 1).then(|| format!("pose{}", pose + 1));
+    let mut items: Vec<LayoutItem> = Vec::new();
+    let mut at = 0;
+    while at < array.width {
+        let place = |part: usize| poses.iter().position(|pose| pose[part] == at);
+        let (pose, meanings): (usize, &[Meaning]) = match (place(0), place(1)) {
+            (Some(pose), _) => (pose, &[Meaning::Axis(0), Meaning::Axis(1), Meaning::Axis(2)]),
+            (_, Some(pose)) => (pose, &[Meaning::Rotation(None)]),
+            _ => {
+                at += 1;
+                match items.last_mut() {
+                    Some(last) if last.meaning == Meaning::Ignored => last.count += 1,
+                    _ => items.push(LayoutItem::new(Meaning::Ignored, 1)),
+                }
+                continue;
+            }
+        };
+        let count = if meanings.len() == 1 { 4 } else { 1 };
+        let own = meanings
+            .iter()
+            .map(|meaning| LayoutItem { arm: arm(pose), ..LayoutItem::new(*meaning, count) });
+        items.extend(own);
+        at += count * meanings.len();
+    }
+    (!poses.is_empty()).then(|| RowLayout::new(items, None).ok())?
 }
 
 /// Whether successive rows are as different as any two, as of configurations at rest, and unlike those of a motion.

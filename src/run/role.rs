@@ -2,6 +2,7 @@
 
 use crate::geometry::{Convention, RotationEncoding, vendors};
 use crate::log::{COMMAND_WORDS, RotationLabels};
+use crate::stats::median;
 use crate::stream::{ArrayColumns, Columns};
 
 use super::poses::not_a_pose;
@@ -201,7 +202,7 @@ pub(super) fn may_have_role(stream: &Stream, role: Role) -> bool {
     let is_open = matches!(stream.role, Role::Candidate { .. })
         && match stream.columns {
             Some(Columns::Poses(_)) => true,
-            Some(Columns::Array(_)) => role == Role::Target,
+            Some(Columns::Array(_)) => role == Role::Target && is_of_camera(&stream.topic),
             _ => false,
         };
     stream.role == role || (is_open && role_outside_arm(&stream.topic) == role)
@@ -380,19 +381,55 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDe
     (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
 }
 
+/// Largest deviation from unit norm of quaternions with two digits.
+const MAX_NORM_DEFECT: f64 = 0.03;
+
 /// False for seven numbers without a quaternion, such as joint positions.
 pub(crate) fn may_be_poses(array: &ArrayColumns) -> bool {
-    /// Deviation from unit norm, for numbers with two digits.
-    const MAX_DEFECT: f64 = 0.03;
-    if array.width != 7 {
-        return true;
+    array.width != 7 || norm_defect(array, 3) < MAX_NORM_DEFECT
+}
+
+/// Median deviation of four numbers of a row from unit norm.
+fn norm_defect(array: &ArrayColumns, first: usize) -> f64 {
+    let rows = array.values.chunks_exact(array.width).map(|row| &row[first..first + 4]);
+    let norm = |row: &[f64]| row.iter().map(|part| part * part).sum::<f64>().sqrt();
+    let mut defects: Vec<f64> = rows.map(|row| (norm(row) - 1.0).abs()).collect();
+    median(&mut defects).unwrap_or(f64::INFINITY)
+}
+
+/// First columns of positions and of the quaternions after or before them, in rows of numbers without names: four that
+/// change and have unit norm.
+pub(crate) fn unnamed_poses(array: &ArrayColumns) -> Vec<[usize; 2]> {
+    const POSE: usize = 7;
+    let width = array.width;
+    let changes = |first: usize, count: usize| {
+        let mut rows = array.values.chunks_exact(width).map(|row| &row[first..first + count]);
+        let start = rows.next();
+        rows.any(|row| Some(row) != start)
+    };
+    let last = if width < POSE { 0 } else { width - 3 };
+    let mut found: Vec<(f64, usize)> = (0..last)
+        .map(|first| (norm_defect(array, first), first))
+        .filter(|(defect, first)| *defect < MAX_NORM_DEFECT && changes(*first, 4))
+        .collect();
+    found.sort_by(|one, other| one.0.total_cmp(&other.0));
+    let mut is_taken = vec![false; width];
+    let mut poses: Vec<[usize; 2]> = Vec::new();
+    for (_, rotation) in found {
+        let is_free = |start: usize| {
+            is_taken.get(start..start + POSE).is_some_and(|own| own.iter().all(|taken| !taken))
+        };
+        let before = rotation.checked_sub(3).filter(|start| is_free(*start) && changes(*start, 3));
+        let (start, position) = match before {
+            Some(start) => (start, start),
+            None if is_free(rotation) && changes(rotation + 4, 3) => (rotation, rotation + 4),
+            None => continue,
+        };
+        is_taken[start..start + POSE].fill(true);
+        poses.push([position, rotation]);
     }
-    let rows = array.values.chunks_exact(array.width);
-    let norm = |row: &[f64]| row[3..].iter().map(|part| part * part).sum::<f64>().sqrt();
-    let (unit, all) = rows.fold((0, 0), |(unit, all), row| {
-        (unit + usize::from((norm(row) - 1.0).abs() < MAX_DEFECT), all + 1)
-    });
-    2 * unit > all
+    poses.sort_unstable();
+    poses
 }
 
 /// Word that marks a command. Table columns use additional words.
@@ -637,6 +674,22 @@ mod tests {
         ] {
             assert_eq!(array_role(topic, width, declared).0, expected, "{topic}");
         }
+    }
+
+    #[test]
+    fn four_numbers_of_unit_norm_beside_three_others_are_a_pose() {
+        let row = |row: usize| -> Vec<f64> {
+            let a = 0.1 * row as f64;
+            let [w, x] = [a.cos(), a.sin()];
+            // A counter, a pose, a padding and a pose with its rotation first.
+            vec![a, 0.5, a, 0.1, w, 0.0, 0.0, x, 0.0, 0.0, 0.0, 1.0, x, 0.0, w, 0.0, a, 2.0, 3.0]
+        };
+        let width = row(0).len();
+        let values = (0..20).flat_map(row).collect();
+        let array = ArrayColumns { width, values, ..ArrayColumns::default() };
+        assert_eq!(unnamed_poses(&array), [[1, 4], [16, 12]]);
+        let array = ArrayColumns { width: 6, values: vec![0.5; 60], ..ArrayColumns::default() };
+        assert_eq!(unnamed_poses(&array), [[0; 2]; 0]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::stream::{Columns, Orientations, PoseTrack};
 
 use super::super::poses;
-use super::super::role::{Role, may_have_role};
+use super::super::role::{Role, is_of_camera, may_have_role};
 use super::super::streams::Stream;
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
@@ -30,6 +30,11 @@ impl Assembly<'_> {
     fn target(&self, index: usize) -> Option<TargetSource> {
         let stream = &self.streams[index];
         let camera = &stream.frame_id;
+        let is_array = matches!(stream.columns, Some(Columns::Array(_)));
+        // A marker may be on any body.
+        if is_array && !is_of_camera(&stream.topic) && self.fitting_declaration(stream).is_none() {
+            return None;
+        }
         if self.is_transform(stream) && !targets::is_detection(camera, &stream.child_frame_id) {
             return None;
         }
