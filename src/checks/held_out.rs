@@ -18,6 +18,9 @@ use crate::finding::{Outcome, Ruling, Subject};
 /// Evidence key.
 pub(crate) const HELD_OUT: &str = "held_out";
 
+/// Share of the residual; smaller changes do not show in three digits.
+const MIN_CHANGE: f64 = 1e-3;
+
 /// Rules whose cause has no amount: rotations, units, axes, and the order and scale of joints.
 const ENCODINGS: [&str; 8] =
     ["ORD001", "ORD002", "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010"];
@@ -28,8 +31,11 @@ pub(super) fn with_held_out(case: &Case, rule: &Rule, judged: SubjectResult) -> 
     if !matches!(judged.outcome, Outcome::Evaluated(Ruling::Fail(_))) {
         return judged;
     }
-    // A whole turn of a joint changes no pose.
-    let changes_poses = |residual: &HeldOutResidual| residual.with != residual.without;
+    // A whole turn of a joint changes no pose beyond rounding.
+    let changes_poses = |residual: &HeldOutResidual| {
+        let mut both = residual.with.into_iter().zip(residual.without);
+        both.any(|(with, without)| (with - without).abs() > MIN_CHANGE * without)
+    };
     match held_out(case, rule, &judged.subject).filter(changes_poses) {
         Some(residual) => judged.with_evidence(HELD_OUT, as_json(&residual)),
         None => judged,
