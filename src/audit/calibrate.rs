@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use super::Options;
 use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble};
+use super::competing_arm::{CalibrationPositions, CompetingArm};
 use super::fixed_point::{
     self, distances, has_moved, held_out_group, moved_text, outlier_rows, typical_residual_m,
 };
 use super::tables::{read_points, read_table, read_tables, read_trouble};
 use crate::checks::{
-    UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
+    MAX_DEVIATION_M, UnmovedJoint, equals_nominal, implausible_links, rejection_reason,
+    stream_rejection_reason, unmoved_joints,
 };
 use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, FrameFreedom, PointDistance,
@@ -21,10 +23,10 @@ use crate::log;
 use crate::places::PathRegistry;
 use crate::report::{PlanInputs, Trouble, TroubleKind, plan_command};
 use crate::robot::Robot;
-use crate::run::{Arm, PoseSource, PoseSourceKind, Run, load_robot};
+use crate::run::{Arm, MIN_RESIDUAL_RATIO, PoseSource, PoseSourceKind, Run, load_robot};
+use crate::stream::{Orientations, PoseTrack};
 
-/// Larger frame offsets are not link deviations, m and rad.
-const MAX_DEVIATION_M: f64 = 10e-3;
+/// Larger turns of frames are not link deviations, rad.
 const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
 /// Result of a calibration.
@@ -176,7 +178,9 @@ fn calibrate_inputs(
     let mut moved = streams.iter().zip(&calibration.streams);
     let moved = moved.find(|(stream, found)| has_moved(stream, found, typical_m, &calibration));
     let moved_point = moved.and_then(|(stream, _)| moved_text(stream, &calibration));
-    let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
+    let rejection = moved_point
+        .or_else(|| wrong_arm(&nominal, &streams, &calibration, options.run.max_latency_s))
+        .or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
     // A planned motion has no fixed point.
@@ -195,6 +199,58 @@ fn calibrate_inputs(
         equals_nominal,
         read,
     })
+}
+
+/// Why the poses are of another arm than `nominal`: its links are implausible, or a catalogue arm fits far better.
+fn wrong_arm(
+    nominal: &Robot,
+    streams: &[CalibrationInput],
+    calibration: &ArmCalibration,
+    max_latency_s: f64,
+) -> Option<String> {
+    let implausible = implausible_links(calibration);
+    // No links fit better than the calibrated ones.
+    let is_suspect = |found: &StreamCalibration| {
+        implausible.is_some() || found.before.m > MIN_RESIDUAL_RATIO * found.after.m
+    };
+    let suspects = streams.iter().zip(&calibration.streams);
+    let mut suspects = suspects.filter(|(_, found)| is_suspect(found)).map(|(stream, _)| stream);
+    let other = suspects.find_map(|stream| competing_arm(nominal, stream, max_latency_s));
+    match (implausible, other) {
+        (Some(why), Some(other)) => {
+            Some(format!("{why}; {}; {}", other.describe(&nominal.name), other.remedy()))
+        }
+        (Some(why), None) => {
+            Some(format!("{why}; check that --robot is the arm's model, and its joint zeros"))
+        }
+        (None, other) => {
+            other.map(|other| format!("{}; {}", other.describe(&nominal.name), other.remedy()))
+        }
+    }
+}
+
+/// By the positions of `stream`; a fixed point has none.
+fn competing_arm(
+    nominal: &Robot,
+    stream: &CalibrationInput,
+    max_latency_s: f64,
+) -> Option<CompetingArm> {
+    let [base, tip] = [&stream.base, &stream.tip].map(|name| nominal.link(name));
+    let chain = nominal.chain(base?, tip?).ok()?;
+    let track = PoseTrack {
+        t_s: stream.t_s.clone(),
+        xyz: stream.poses.iter().map(|pose| pose.translation.vector).collect(),
+        orientation: Orientations::Unset(stream.poses.len()),
+        declared: None,
+    };
+    let positions = CalibrationPositions {
+        joints: &stream.joints,
+        columns: &stream.columns,
+        track: &track,
+        max_lag_s: stream.latency_s.map_or(0.0, |_| max_latency_s),
+    };
+    let is_measured = stream.measurement != Measurement::FixedPoint;
+    is_measured.then(|| positions.competing_arm(&nominal.name, &chain)).flatten()
 }
 
 /// Plan around the configurations of `stream`.

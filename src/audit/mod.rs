@@ -4,6 +4,7 @@
 mod any_log;
 mod calibrate;
 mod calibration_input;
+mod competing_arm;
 mod demo;
 mod fixed_point;
 mod missing_rate;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::Options;
 use super::calibration_input::{CalibrationInput, LogInputs, Measurement, trouble};
+use super::competing_arm::CalibrationPositions;
 use super::missing_rate::columns_of_configurations;
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
@@ -124,10 +125,27 @@ impl ConfigurationTable {
         for (point, diagnosis) in found.streams.iter().enumerate() {
             let why_not = match diagnosis.residual.is_err() {
                 true => Some("its poses do not follow the arm"),
-                false => diagnosis.is_far_from_fk().then_some("its positions do not match FK"),
+                false => (diagnosis.is_far_from_fk() || diagnosis.is_unrelated_to_fk())
+                    .then_some("its positions do not match FK"),
             };
             if let Some(what) = why_not {
-                return Err(trouble(path, what, "check that --robot is the arm's model"));
+                let positions = CalibrationPositions {
+                    joints: &joints,
+                    columns: &columns,
+                    track: &poses[point],
+                    max_lag_s: 0.0,
+                };
+                return Err(match positions.competing_arm(&robot.name, &chain) {
+                    Some(other) => {
+                        let what = format!("{what}; {}", other.describe(&robot.name));
+                        trouble(path, what, &other.remedy())
+                    }
+                    None => trouble(
+                        path,
+                        what,
+                        "check that --robot is the arm's model, and state units in --columns, such as x:mm",
+                    ),
+                });
             }
             let (topic, measurement) = match poses.len() {
                 1 => ("rows".to_owned(), Measurement::Pose),
@@ -193,7 +211,7 @@ pub(super) fn dropped_rows(table: &NumberTable) -> Option<String> {
     Some(format!("{count} rows with values that are not numbers, the first in line {line}"))
 }
 
-fn chain_ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
+pub(super) fn chain_ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
     let link = |given: &Option<String>, usual: &Option<String>| {
         let name = given.as_ref().or(usual.as_ref());
         name.map(|name| robot.link_or_nearest(name)).transpose().map_err(|error| error.to_string())

@@ -18,6 +18,8 @@ const DEVIATION_CONFIDENCE: f64 = 0.999;
 const MIN_DEVIATION: f64 = 1e-6;
 /// Minimum ratio of the cross-validated residual to the nominal one if the models are equal.
 const MIN_EQUAL_RATIO: f64 = 0.95;
+/// Larger frame offsets are not link deviations, m. It is also the largest change of the tip by a calibration in an audit.
+pub(crate) const MAX_DEVIATION_M: f64 = 10e-3;
 /// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
@@ -89,7 +91,39 @@ pub(crate) fn rejection_reason(
             1e3 * nominal
         ));
     }
-    calibration.streams.iter().find_map(stream_rejection_reason)
+    calibration.streams.iter().find_map(|stream| match is_nominal {
+        true => residual_rejection_reason(stream),
+        false => stream_rejection_reason(stream),
+    })
+}
+
+/// Why the calibrated links are not those of the named arm: the largest deviation is beyond what a manufactured arm has.
+pub(crate) fn implausible_links(calibration: &ArmCalibration) -> Option<String> {
+    let far = |&at: &usize| {
+        let ends = calibration.value(at).interval(0.95);
+        ends.iter().all(|end| *end > MAX_DEVIATION_M)
+            || ends.iter().all(|end| *end < -MAX_DEVIATION_M)
+    };
+    let lengths = calibration.parameters.iter().zip(0..).filter(|(one, _)| !one.is_rotation);
+    let largest = lengths
+        .map(|(_, at)| at)
+        .filter(far)
+        .max_by(|a, b| calibration.values[*a].abs().total_cmp(&calibration.values[*b].abs()));
+    if let Some(at) = largest {
+        return Some(format!(
+            "{} would be {:.1} mm from its place, but links of one model differ by less than {:.0} mm",
+            calibration.links[calibration.parameters[at].link],
+            1e3 * calibration.values[at].abs(),
+            1e3 * MAX_DEVIATION_M
+        ));
+    }
+    calibration.is_link_size_at_bound().then(|| {
+        format!(
+            "links would deviate by {:.1} mm and {:.1}° per axis or more, the largest deviations tried",
+            1e3 * calibration.link_m,
+            (0.1 / 1e-3) * calibration.link_m
+        )
+    })
 }
 
 /// Whether every parameter agrees with the nominal model within its uncertainty, and together they do not
@@ -115,22 +149,34 @@ pub(crate) fn equals_nominal(calibration: &ArmCalibration) -> bool {
 
 /// Reason why a stream contradicts the calibration.
 pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<String> {
-    let noise_m = (MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0]).max(MIN_DEVIATION);
-    if stream.after.m > stream.before.m.max(noise_m) {
-        return Some(format!(
-            "calibrated residual of {:.3} mm rms exceeds the nominal residual of {:.3} mm",
-            1e3 * stream.after.m,
-            1e3 * stream.before.m
-        ));
+    if let Some(reason) = residual_rejection_reason(stream) {
+        return Some(reason);
     }
     let (before, after) = (stream.held_out_before.m, stream.held_out_after.m);
-    (after > MAX_CROSS_VALIDATION_RATIO * before && before > noise_m).then(|| {
+    (after > MAX_CROSS_VALIDATION_RATIO * before && before > max_noise_m(stream)).then(|| {
         format!(
             "cross-validated residual of {:.3} mm rms does not improve on the nominal residual of {:.3} mm",
             1e3 * after,
             1e3 * before
         )
     })
+}
+
+/// Reason why the calibrated links fit a stream worse than the nominal ones. Those of an arm that equals its model need not
+/// fit better.
+fn residual_rejection_reason(stream: &StreamCalibration) -> Option<String> {
+    (stream.after.m > stream.before.m.max(max_noise_m(stream))).then(|| {
+        format!(
+            "calibrated residual of {:.3} mm rms exceeds the nominal residual of {:.3} mm",
+            1e3 * stream.after.m,
+            1e3 * stream.before.m
+        )
+    })
+}
+
+/// Residual that noise alone explains, m.
+fn max_noise_m(stream: &StreamCalibration) -> f64 {
+    (MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0]).max(MIN_DEVIATION)
 }
 
 /// Whether rows with calibrated distances of `rms_m` do not share a fixed point. Files usually leave `typical_m`;
@@ -149,7 +195,7 @@ pub(crate) fn max_row_error_m(typical_m: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::CalibrationResidual;
+    use crate::diagnosis::{CalibrationResidual, LinkParameter};
     use crate::robot::catalogue;
 
     /// Residuals in m: \[nominal, calibrated\], on training data and on held-out segments. The nominal
@@ -243,6 +289,39 @@ mod tests {
         assert!(!refused(2e-5, [1e-9, 2e-9]));
         assert!(refused(4e-4, [1e-9, 2e-9]), "too few poses");
         assert!(refused(2e-5, [1e-3, 2e-5]), "it deviates");
+    }
+
+    #[test]
+    fn an_arm_that_equals_its_model_need_not_predict_held_out_poses_better() {
+        let equal = calibration_with(7e-4, [1.45e-4, 1.43e-4], [1.736e-4, 1.740e-4]);
+        let few_rows = ArmCalibration { max_link_m: 2.6e-5, ..equal };
+        assert!(stream_rejection_reason(&few_rows.streams[0]).is_some());
+        assert_eq!(rejection_reason(&few_rows, &[]), None);
+    }
+
+    #[test]
+    fn links_of_another_arm_are_implausible() {
+        let with = |value: f64, is_rotation: bool, link_m: f64| {
+            implausible_links(&ArmCalibration {
+                links: vec!["forearm_link".to_owned()],
+                parameters: vec![LinkParameter {
+                    link: 0,
+                    is_rotation,
+                    direction: [1.0, 0.0, 0.0],
+                }],
+                values: vec![value],
+                covariance: nalgebra::DMatrix::from_element(1, 1, 1e-6),
+                link_m,
+                ..calibration_with(1e-5, [1e-3, 2e-5], [1e-3, 2e-5])
+            })
+        };
+        let reason = with(-0.07, false, 5e-3).unwrap_or_default();
+        assert!(reason.starts_with("forearm_link would be 70.0 mm from its place"), "{reason}");
+        // An arm whose elbow is off by 2°, and a length that may be below the limit.
+        assert_eq!(with(0.035, true, 7e-3), None);
+        assert_eq!(with(0.011, false, 7e-3), None);
+        let at_bound = with(0.0, false, 11.53e-3).unwrap_or_default();
+        assert!(at_bound.contains("11.5 mm and 1.2° per axis or more"), "{at_bound}");
     }
 
     #[test]

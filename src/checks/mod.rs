@@ -36,8 +36,8 @@ use crate::finding::{
 
 pub use calibration::UnmovedJoint;
 pub(crate) use calibration::{
-    equals_nominal, is_point_moved, max_row_error_m, rejection_reason, stream_rejection_reason,
-    suggests_calibration, unmoved_joints,
+    MAX_DEVIATION_M, equals_nominal, implausible_links, is_point_moved, max_row_error_m,
+    rejection_reason, stream_rejection_reason, suggests_calibration, unmoved_joints,
 };
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use encoding::encoding_names;

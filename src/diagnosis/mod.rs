@@ -570,6 +570,15 @@ impl PoseDiagnosis {
             && excess_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * self.extent_m()
     }
 
+    /// Whether the position residual is a large share of the motion, also if it looks like noise: the errors of a few separate
+    /// configurations do.
+    pub fn is_unrelated_to_fk(&self) -> bool {
+        self.residual.as_ref().is_ok_and(|residual| {
+            residual.rms_m > selection::nominal_model::MAX_TIP_CHANGE_M
+                && residual.rms_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * self.extent_m()
+        })
+    }
+
     /// Extent of FK's positions, m.
     fn extent_m(&self) -> f64 {
         let fk = self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector);

@@ -40,6 +40,7 @@ use arms::{RobotInfo, joint_topics};
 use assembly::Assembly;
 use transforms::tf_tree;
 
+pub(crate) use ranking::{MAX_TOOL_M, MIN_RESIDUAL_RATIO};
 pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {

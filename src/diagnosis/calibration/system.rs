@@ -1,7 +1,7 @@
 //! Linearised pose streams of a calibration, and steps to the maximum of the posterior.
 
 use super::parameters::CalibrationParameters;
-use super::{CalibrationStream, FrameFreedom, PointDistance};
+use super::{CalibrationStream, FrameFreedom, MAX_LINK_SIZE_M, PointDistance};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, pose_of_twist};
 use crate::selection::link_deviations::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
@@ -243,7 +243,7 @@ impl CalibrationSystem<'_> {
     pub fn link_sizes_m(&self, normal: &Normal, state: &CalibrationState) -> [f64; 2] {
         /// Twice the logarithm of a likelihood ratio: 95 % of χ² with one degree of freedom.
         const MAX_LOG_RATIO: f64 = 3.84;
-        let (min_m, max_m, times) = DEVIATION_GRID_M;
+        let (min_m, _, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
             let Some((prior, cholesky)) = self.posterior(normal, link_m) else {
@@ -254,8 +254,10 @@ impl CalibrationSystem<'_> {
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
         let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
-        let tried = tried.take_while(|link_m| *link_m < 4.0 * max_m);
-        let tried: Vec<(f64, f64)> = tried.map(|link_m| (link_m, evidence(link_m))).collect();
+        let tried: Vec<(f64, f64)> = tried
+            .take_while(|link_m| *link_m < MAX_LINK_SIZE_M)
+            .map(|link_m| (link_m, evidence(link_m)))
+            .collect();
         let best = tried.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
         let (best_m, highest) = best.unwrap_or((min_m, 0.0));
         let likely = tried.iter().filter(|(_, evidence)| highest - evidence <= MAX_LOG_RATIO);

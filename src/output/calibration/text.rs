@@ -87,7 +87,7 @@ impl CalibrationResult {
                 line(&stream.held_out_after)
             );
             if stream.before.m <= 1.05 * stream.after.m {
-                text += "  no significant deviation: the nominal model already fits this log\n";
+                text += "  no significant deviation: calibrated links fit this log no better than nominal ones\n";
             }
             if let Some(latency) = stream.latency_s {
                 let _ = writeln!(text, "  latency {}", format_measured(Unit::Second, latency));

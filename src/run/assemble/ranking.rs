@@ -25,9 +25,9 @@ use crate::stream::Columns;
 const MAX_STREAMS: usize = 6;
 
 /// Minimum ratio of the named arm's residual to that of another arm.
-const MIN_RESIDUAL_RATIO: f64 = 5.0;
+pub(crate) const MIN_RESIDUAL_RATIO: f64 = 5.0;
 /// Maximum tool length of that other arm, m.
-const MAX_TOOL_M: f64 = 0.5;
+pub(crate) const MAX_TOOL_M: f64 = 0.5;
 
 #[derive(Default)]
 struct FittedModel {
