@@ -156,10 +156,15 @@ impl Table {
         let ReadColumn { mut column, rows: own, mut lost, why } = candidate;
         let (rows, width, name) = (self.rows, column.width, column.name.clone());
         if own != rows {
-            let why = format!("{own} rows, not {rows}");
-            if covers_same_rows(own, rows) && !(own + 1 == rows && names::is_transition(&name)) {
-                let what = format!("'{name}' has {why}: it is unknown which are missing");
-                self.losses.push(RowLoss { rows: own, what: what.into() });
+            let mut why = format!("{own} rows, not {rows}");
+            if covers_same_rows(own, rows) {
+                why += ": it is unknown which are missing";
+                // Differences, errors and spectra are shorter by nature.
+                let is_transition = own + 1 == rows && names::is_transition(&name);
+                if names::is_joints_or_pose(&name) && !is_transition {
+                    let what = format!("'{name}' has {why}");
+                    self.losses.push(RowLoss { rows: own, what: what.into() });
+                }
             }
             self.unread.push((name, why));
             return;
@@ -379,8 +384,11 @@ mod tests {
             candidate("cut", 100, 60),
             damaged,
             refused,
-            candidate("short", 99, 99),
-            candidate("long", 101, 101),
+            candidate("joint_positions", 99, 99),
+            candidate("tool_pose", 101, 101),
+            candidate("dt", 99, 99),
+            candidate("qdd", 98, 98),
+            candidate("err", 90, 90),
             candidate("rewards", 99, 99),
             candidate("slow", 50, 50),
         ];
@@ -397,6 +405,9 @@ mod tests {
                 assert_eq!(column.values[2 * row].is_nan(), table.is_lost(at, row), "{row}");
             }
         }
-        assert_eq!(table.unread.len(), 5);
+        assert_eq!(table.unread.len(), 8);
+        let reason = |name: &str| table.unread.iter().find(|(unread, _)| unread == name).cloned();
+        let left_out = "90 rows, not 100: it is unknown which are missing".to_owned();
+        assert_eq!(reason("err"), Some(("err".to_owned(), left_out)));
     }
 }
