@@ -291,7 +291,8 @@ fn shape(
 ) -> VelocityShape {
     /// Rms relative to the derivatives.
     const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
-    /// Share of the squared error after a cause.
+    /// Share of the squared error after a cause, and, with noise, of the squared velocities: as much as a delay or a
+    /// low-pass must explain.
     const MAX_RESIDUAL_RATIO: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
@@ -301,7 +302,8 @@ fn shape(
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
     // As a share of the response's energy.
-    let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise).min(0.5 * square) / square;
+    let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise) / square;
+    let allowed = allowed.min(MAX_RESIDUAL_RATIO);
     let (gain, residual) = changes.gain(curve);
     if residual <= allowed {
         return VelocityShape::Scaled(gain);

@@ -57,6 +57,25 @@ fn each_velocity_fault_is_classified_with_its_size() {
     assert!((response.delay_s.value - 0.06).abs() < 1e-3, "{response:?}");
 }
 
+/// A reproducible pseudo-random number in ±1.
+fn pseudo_random(seed: u64) -> f64 {
+    let mut state = (seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    state = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    state ^= state >> 27;
+    (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
+#[test]
+fn a_factor_that_leaves_much_of_the_velocities_is_no_cause() {
+    let scaled_with = |noise_size: f64| {
+        let at =
+            |t: f64| 0.46 * rate(0, t) + noise_size * pseudo_random((t * 100.0).round() as u64);
+        diagnosis(0.0, at).shape
+    };
+    assert!(matches!(scaled_with(0.5), VelocityShape::Scaled(by) if (by - 0.46).abs() < 0.05));
+    assert_eq!(scaled_with(4.5), VelocityShape::Unrelated);
+}
+
 #[test]
 fn a_difference_of_two_samples_is_a_rate() {
     let backward = diagnosis(0.0, |t| (position(0, t) - position(0, t - 0.01)) / 0.01);
