@@ -247,6 +247,63 @@ fn a_log_with_one_moving_joint_gives_no_calibration() {
     }
 }
 
+/// A table of positions of a tool on a nominal UR5e, in m.
+fn table_of_ur5e(rows: usize, noise_m: f64) -> String {
+    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
+    let [base, tip] = ["base_link", "tool0"].map(|name| robot.link(name).expect("a link"));
+    let chain = robot.chain(base, tip).expect("a chain");
+    let tool = pose([0.03, 0.02, 0.1], rotation_from_rpy([0.0, 0.0, 0.0]));
+    let mut text = "J1,J2,J3,J4,J5,J6,x,y,z\n".to_owned();
+    for row in 0..rows {
+        let q: Vec<f64> = (0..6).map(|joint| 1.2 * noise(6 * row + joint)).collect();
+        let seen = (chain.forward(&q) * tool).translation.vector;
+        let [x, y, z] = [0, 1, 2].map(|axis| seen[axis] + noise_m * noise(50_000 + 3 * row + axis));
+        let q: Vec<String> = q.iter().map(f64::to_string).collect();
+        let _ = writeln!(text, "{},{x},{y},{z}", q.join(","));
+    }
+    text
+}
+
+#[test]
+fn another_arm_is_refused_and_the_one_that_fits_is_named() {
+    let folder = TempDir::new().expect("a folder");
+    let (log, out) = (path(&folder, "poses.csv"), path(&folder, "out"));
+    fs::write(&log, table_of_ur5e(30, 2e-4)).expect("a file");
+    let call = |robot: &str| poseaudit(&["calibrate", &log, "--out", &out, "--robot", robot]);
+    for other in ["ur5", "ur16e"] {
+        let output = call(other);
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert!(text.contains("mm from its place"), "{text}");
+        assert!(text.contains("nominal links of ur5e fit the positions within"), "{text}");
+        assert!(text.contains("if the arm is a ur5e, use --robot ur5e"), "{text}");
+        assert!(!Path::new(&out).exists(), "{text}");
+    }
+    let own = call("ur5e");
+    let text = String::from_utf8_lossy(&own.stdout);
+    assert_eq!(own.status.code(), Some(0), "{text}");
+    assert!(text.starts_with("UNCHANGED   ur5e"), "{text}");
+}
+
+#[test]
+fn positions_in_an_unknown_unit_are_refused() {
+    let folder = TempDir::new().expect("a folder");
+    let (log, out) = (path(&folder, "poses.csv"), path(&folder, "out"));
+    let text = table_of_ur5e(30, 2e-4);
+    let in_mm = |line: &str| -> String {
+        let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+        let cells = cells.iter().enumerate().map(|(at, it)| if at < 6 { *it } else { 1e3 * it });
+        cells.map(|cell| cell.to_string()).collect::<Vec<_>>().join(",")
+    };
+    let lines: Vec<String> = text.lines().skip(1).map(in_mm).collect();
+    fs::write(&log, format!("J1,J2,J3,J4,J5,J6,x,y,z\n{}\n", lines.join("\n"))).expect("a file");
+    let output = poseaudit(&["calibrate", &log, "--out", &out, "--robot", "agilex_piper"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{stderr}");
+    assert!(stderr.contains("its positions do not match FK"), "{stderr}");
+    assert!(!Path::new(&out).exists(), "{stderr}");
+}
+
 #[test]
 fn a_table_of_poses_is_asked_for_its_joints() {
     let folder = TempDir::new().expect("a folder");
