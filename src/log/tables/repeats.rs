@@ -132,18 +132,39 @@ fn are_bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// Joints that repeat an earlier one or never move. Fingers move together and are excluded.
+/// Joints that repeat an earlier one, or never move while others do. Fingers move together and are excluded.
 fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let is_finger = |name: &str| names::is_gripper(&names::split_words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();
     let own: Vec<ValueRows<'_>> = arm.iter().map(|joint| ValueRows::of_joint(joint)).collect();
+    let arm_moves = own.iter().any(|values| values.has_changes(MIN_CHANGES));
     let mut found = Vec::new();
     for (at, joint) in arm.iter().enumerate() {
         let moves = own[at].has_changes(MIN_CHANGES);
         let other = (0..at).find(|&other| moves && own[at].equals(&own[other]));
-        if other.is_some() || !own[at].has_changes(1) {
+        if other.is_some() || (arm_moves && !own[at].has_changes(1)) {
             found.push((joint.name.clone(), other.map(|other| arm[other].name.clone())));
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_joint_is_constant_only_if_other_joints_of_the_arm_move() {
+        let still = |name: &str| JointColumn::from_positions(name.to_owned(), vec![0.5; 40]);
+        let moving = |name: &str| {
+            let positions = (0..40).map(|row| 0.01 * f64::from(row)).collect();
+            JointColumn::from_positions(name.to_owned(), positions)
+        };
+        let repeated = |joints: Vec<JointColumn>| {
+            repeated_joints(&JointColumns { joints, ..JointColumns::default() })
+        };
+        let found = repeated(vec![moving("waist"), still("shoulder"), still("gripper")]);
+        assert_eq!(found, [("shoulder".to_owned(), None)]);
+        assert_eq!(repeated(vec![still("waist"), still("shoulder"), moving("gripper")]), []);
+    }
 }
