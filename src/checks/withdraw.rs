@@ -35,7 +35,8 @@ impl UnexplainedResidual {
             Estimate::Frame { value, rotation, .. } => Some(Self {
                 subject: finding.subject.clone(),
                 length_m: *value,
-                angle_rad: rotation.value,
+                // NaN without rotations.
+                angle_rad: rotation.value.max(0.0),
             }),
             _ => None,
         }

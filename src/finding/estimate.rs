@@ -115,7 +115,7 @@ impl Estimate {
         }
     }
 
-    /// The scalar, or the length and the angle; none of a misinterpretation.
+    /// The scalar, or the length and the angle, if it was compared; none of a misinterpretation.
     pub(crate) fn amounts(&self) -> Vec<Amount> {
         match *self {
             Estimate::Scalar { name, value, unit: symbol, ci95, .. } => {
@@ -124,10 +124,10 @@ impl Estimate {
             Estimate::Frame { name, value, unit: symbol, ci95, rotation, .. } => {
                 let Angle { value: angle, ci95: angle_ci95 } = rotation;
                 let radian = Unit::Radian.symbol();
-                vec![
-                    Amount { name, symbol, value, ci95 },
-                    Amount { name, symbol: radian, value: angle, ci95: angle_ci95 },
-                ]
+                let angle = Amount { name, symbol: radian, value: angle, ci95: angle_ci95 };
+                let length = Amount { name, symbol, value, ci95 };
+                let angle = Some(angle).filter(|angle| !angle.value.is_nan());
+                std::iter::once(length).chain(angle).collect()
             }
             Estimate::Convention { .. }
             | Estimate::Misinterpretation { .. }
@@ -338,6 +338,17 @@ mod tests {
         );
         let json = serde_json::to_string(&estimate)?;
         assert_eq!(json, r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#);
+        Ok(())
+    }
+
+    #[test]
+    fn an_angle_that_was_not_compared_is_null_and_not_shown() -> Result<(), serde_json::Error> {
+        let length = Measured { value: 0.001, std_error: 0.0, dof: 1e6 };
+        let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: f64::INFINITY };
+        let estimate = Estimate::frame("residual", &length, &unknown);
+        let json = serde_json::to_string(&estimate)?;
+        assert!(json.contains(r#""rotation":{"value":null,"ci95":null}"#), "{json}");
+        assert_eq!(estimate.amounts().len(), 1);
         Ok(())
     }
 

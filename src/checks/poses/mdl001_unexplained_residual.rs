@@ -251,7 +251,9 @@ fn judge(
         None => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
     };
     let angle = error.angle.as_ref().map(|angle| excess_rms(&angle.whole));
-    let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
+    let has_angle = angle.is_some();
+    // `null` in the report.
+    let none = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: f64::INFINITY };
     let length = excess_rms(&error.length.whole);
     let competing = &arm.indistinguishable_models;
     let outcome = match outcome(case, arm, attributed, all) {
@@ -282,9 +284,9 @@ fn judge(
     match &stream.diagnosis.residual {
         Ok(residual) => judged
             .with_evidence("rms_m", residual.rms_m)
-            .with_evidence("rms_rad", residual.rms_rad)
+            .with_evidence("rms_rad", has_angle.then_some(residual.rms_rad))
             .with_evidence("before_m", residual.before_m)
-            .with_evidence("before_rad", residual.before_rad),
+            .with_evidence("before_rad", has_angle.then_some(residual.before_rad)),
         Err(_) => judged,
     }
 }

@@ -59,7 +59,7 @@ pub struct ResidualCheck {
 pub struct FkError {
     /// Position error, m.
     pub length: ErrorSize,
-    /// Rotation error, rad. `None` for bare numbers.
+    /// Rotation error, rad. `None` for bare numbers, and without recorded rotations.
     pub angle: Option<ErrorSize>,
 }
 
@@ -144,6 +144,7 @@ pub fn check_residual(
         false => moving,
     };
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
+    let has_decoded_rotation = !matches!(stream.track.orientation, Orientations::Unset(_));
     let as_logged = ErrorSeries::from_poses(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
         .error(&rows(moving, &logged.t_s));
     let AlignedSamples { t_s, logged, fk, corrected, fk_at_truth, .. } = &diagnosis.aligned;
@@ -157,8 +158,8 @@ pub fn check_residual(
     Ok(ResidualCheck {
         is_at_rest,
         as_logged,
-        corrected: error(corrected, fk_at_truth, true),
-        poses_corrected: error(corrected, fk, true),
+        corrected: error(corrected, fk_at_truth, has_decoded_rotation),
+        poses_corrected: error(corrected, fk, has_decoded_rotation),
         joints_corrected: error(logged, fk_at_truth, has_rotation),
         calibrated: (!is_at_rest && t_s.len() >= MIN_SAMPLES).then(calibrated).flatten(),
     })
@@ -196,7 +197,9 @@ fn residual_with_calibration(
     let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
     let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
     let moving = moving_rows(corrected_joints, stream, &t_s);
-    Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moving))
+    let has_rotation = !matches!(stream.track.orientation, Orientations::Unset(_));
+    let angle = has_rotation.then_some(angle);
+    Some(ErrorSeries::new(&t_s, &fk, length, angle).error(&moving))
 }
 
 /// Samples with FK at their stamps. Fills only `t_s`, `logged` and `fk`.
