@@ -56,15 +56,19 @@ impl TrajectoryErrorRow {
 }
 
 impl ComparisonRow {
-    /// `ATE 8.12 mm and 2.06° rms aligned (3.17 m and 58.1° as logged), RPE 3.49 mm and 0.28°, of 573 pairs of poses`.
-    /// `None` without pairs.
+    /// `ATE 8.12 mm and 2.06° rms aligned (3.17 m and 58.1° as logged), RPE 3.49 mm and 0.28°, of 573 pairs of poses up
+    /// to 10 ms apart`: the errors include the motion between their stamps. `None` without pairs.
     pub fn errors(&self) -> Option<String> {
         let (logged, steps) = (self.ate?.show(), self.rpe?.show());
         let aligned = self.ate_aligned.map_or_else(
             || format!("ATE {logged} rms as logged"),
             |aligned| format!("ATE {} rms aligned ({logged} as logged)", aligned.show()),
         );
-        Some(format!("{aligned}, RPE {steps}, of {} pairs of poses", self.pairs))
+        let apart = Unit::Second.show(MAX_STAMP_DIFFERENCE_S);
+        Some(format!(
+            "{aligned}, RPE {steps}, of {} pairs of poses up to {apart} apart",
+            self.pairs
+        ))
     }
 }
 
