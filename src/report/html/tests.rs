@@ -57,6 +57,22 @@ fn finding(code: &'static str, topic: &str) -> Finding {
     }
 }
 
+#[test]
+fn findings_of_one_topic_in_several_segments_are_of_one_topic() {
+    let title = |topics: [&str; 2]| {
+        let findings = topics.iter().zip(["6.1 %", "6.0 %"]).map(|(topic, share)| Finding {
+            message: format!("{share} of the rows repeat old values"),
+            fix: "stamp each row".to_owned(),
+            ..finding("TIM008", topic)
+        });
+        let report = report(findings.collect(), Figures::default());
+        let outline = Outline::new(&report);
+        outline.group_title(&outline.finding_groups()[0]).0
+    };
+    assert!(title(["/joints", "/joints"]).ends_with("/joints"));
+    assert_eq!(title(["/joints", "/other"]), "2 topics");
+}
+
 fn report(findings: Vec<Finding>, figures: Figures) -> Report {
     let evaluation = Evaluation { findings, ..Evaluation::default() };
     let robot = RobotRow {

@@ -1,5 +1,7 @@
 //! Findings of one cause on several subjects, as one block.
 
+use std::collections::BTreeSet;
+
 use super::{Outline, list_names};
 use crate::checks;
 use crate::finding::{Alternative, Estimate, Evidence, Finding, Severity, Subject, Unit};
@@ -63,9 +65,15 @@ impl<'a> Outline<'a> {
         match self.common_message(group) {
             Some(message) => (self.group_subjects(group), message),
             None => {
+                // One subject has a finding per segment.
                 let subjects = group.findings.iter().map(|finding| &finding.subject);
-                let (count, kind) = (group.findings.len(), plural_kind(subjects));
-                (format!("{count} {kind}"), first.title.to_owned())
+                let names: BTreeSet<String> =
+                    subjects.clone().map(|subject| self.subject(subject)).collect();
+                let named = match names.len() {
+                    1 => self.subject(&first.subject),
+                    count => format!("{count} {}", plural_kind(subjects)),
+                };
+                (named, first.title.to_owned())
             }
         }
     }
