@@ -350,10 +350,7 @@ impl Equations {
             let StreamEquations { linear, weights, .. } = equations;
             *weights = match noise {
                 Some(noise) => noise[index].clone(),
-                None => {
-                    let first = streams[index].columns.fit(linear, weights);
-                    linear.weights_after(first.as_slice())
-                }
+                None => streams[index].columns.fit(linear, 1).weights,
             };
         }
         Self { normal: shared.normal(), shared, changes: of_changes }

@@ -282,8 +282,7 @@ impl<'a> ScoreTest<'a> {
 /// Whether a constant joint zero is likelier than the link deviations that imitate it.
 pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let (linear, fit) = columns.constant_fit();
-    let weights = linear.weights_after(fit.as_slice());
-    let zero = ScoreTest::new(columns, &linear, &weights).and_then(|mut test| {
+    let zero = ScoreTest::new(columns, &linear, &fit.weights).and_then(|mut test| {
         test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
         test.likeliest(&test.gains_of_profile(|_| 1.0), 0)
     });

@@ -1,7 +1,7 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
 use super::model::{Linearization, Model, Prior};
-use crate::solver::linear::{Linear, Weight};
+use crate::solver::linear::{Linear, ReweightedFit, Weight};
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
 use ground::geometry::Vec3;
@@ -34,13 +34,13 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
         for prior in model.priors() {
             pull[prior.column] = -prior.value / prior.variance;
         }
-        let step = Step::new(linear, &excited, &pull);
+        let fit = excited.fit(linear, &pull);
         remaining_steps -= 1;
-        let largest = free.iter().map(|&at| step.delta[at].abs()).fold(0.0, f64::max);
-        model.common().apply(step.delta.as_slice());
-        model.apply(step.delta.as_slice());
+        let largest = free.iter().map(|&at| fit.step[at].abs()).fold(0.0, f64::max);
+        model.common().apply(fit.step.as_slice());
+        model.apply(fit.step.as_slice());
         if remaining_steps == 0 || largest < CONVERGED_STEP {
-            return step.solved(linear, excited);
+            return excited.solved(linear, fit);
         }
         linearization = model.linearize();
     }
@@ -107,6 +107,37 @@ impl Excited {
         let prior = basis.tr_mul(&precision) * &basis;
         Self { free, basis, fixed, noise, prior }
     }
+
+    fn fit(&self, linear: &Linear, pull: &DVector<f64>) -> ReweightedFit {
+        let basis = &self.basis;
+        linear.reweighted_fit(2, |normal| {
+            // Without the design noise, a step would overshoot where a prior shares its direction.
+            let matrix = basis.tr_mul(&normal.matrix) * basis + &self.prior;
+            basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(&normal.right + pull)))
+        })
+    }
+
+    /// Covariance at the point of linearisation.
+    fn solved(self, linear: &Linear, fit: ReweightedFit) -> Solved {
+        let Self { free, basis, mut fixed, noise, prior } = self;
+        let noise = noise * fit.weights.first().map_or(0.0, Weight::base_weight);
+        let parts = linear.covariance_parts(&fit.weights);
+        let [information, scores] = parts.map(|part| basis.tr_mul(&part) * &basis);
+        let information = without_noise(information, &noise) + &prior;
+        let mut covariance = sandwich(&information, &(scores + &prior));
+        for (at, direction) in basis.column_iter().enumerate() {
+            if !covariance[(at, at)].is_finite() {
+                covariance.fill_row(at, 0.0);
+                covariance.fill_column(at, 0.0);
+                fixed.push(direction.into_owned());
+            }
+        }
+        let covariance = &basis * covariance * basis.transpose();
+        let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
+        let dof = fit.normal.dof(free.len() - random);
+        let residuals = fit.residuals.into_iter().flatten().collect();
+        Solved { free, covariance, fixed, dof, residuals }
+    }
 }
 
 fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
@@ -123,51 +154,6 @@ fn without_noise(mut information: DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix
     eigen.eigenvalues.apply(|value| *value = value.max(0.0));
     let clipped = eigen.recompose();
     DMatrix::from_fn(scale.len(), scale.len(), |i, j| clipped[(i, j)] * scale[i] * scale[j])
-}
-
-struct Step {
-    delta: DVector<f64>,
-    weights: Vec<Weight>,
-    independent: f64,
-}
-
-impl Step {
-    fn new(linear: &Linear, excited: &Excited, pull: &DVector<f64>) -> Self {
-        let delta = DVector::zeros(linear.width);
-        let mut step = Self { delta, weights: linear.first_weights(), independent: 0.0 };
-        let basis = &excited.basis;
-        for _ in 0..2 {
-            let normal = linear.normal(&step.weights);
-            // Without the design noise, a step would overshoot where a prior shares its direction.
-            let matrix = basis.tr_mul(&normal.matrix) * basis + &excited.prior;
-            let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(normal.right + pull)));
-            let weights = linear.weights_after(delta.as_slice());
-            step = Self { delta, weights, independent: normal.independent };
-        }
-        step
-    }
-
-    /// Covariance at the point of linearisation.
-    fn solved(self, linear: &Linear, excited: Excited) -> Solved {
-        let Excited { free, basis, mut fixed, noise, prior } = excited;
-        let noise = noise * self.weights.first().map_or(0.0, Weight::base_weight);
-        let parts = linear.covariance_parts(&self.weights);
-        let [information, scores] = parts.map(|part| basis.tr_mul(&part) * &basis);
-        let information = without_noise(information, &noise) + &prior;
-        let mut covariance = sandwich(&information, &(scores + &prior));
-        for (at, direction) in basis.column_iter().enumerate() {
-            if !covariance[(at, at)].is_finite() {
-                covariance.fill_row(at, 0.0);
-                covariance.fill_column(at, 0.0);
-                fixed.push(direction.into_owned());
-            }
-        }
-        let covariance = &basis * covariance * basis.transpose();
-        let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
-        let dof = (self.independent - (free.len() - random) as f64).max(3.0);
-        let residuals = linear.residuals_after(self.delta.as_slice()).swap_remove(0);
-        Solved { free, covariance, fixed, dof, residuals }
-    }
 }
 
 /// Largest share of an observable parameter in fixed directions.

@@ -9,7 +9,9 @@ use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
-use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
+use crate::solver::linear::{
+    Linear, Normal, ReweightedFit, SharedEquations, StreamEquations, Weight,
+};
 use crate::{AlignedSamples, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
@@ -171,10 +173,14 @@ impl<'a> CauseColumns<'a> {
     /// Normal equations of a linearisation, with the prior on the links.
     pub fn normal_equations(&self, linear: &Linear, weights: &[Weight]) -> Normal {
         let mut normal = linear.normal(weights);
+        self.add_prior(&mut normal);
+        normal
+    }
+
+    fn add_prior(&self, normal: &mut Normal) {
         let constant = self.constant();
         let mut own = normal.matrix.view_mut((0, 0), (constant, constant));
         own += self.prior();
-        normal
     }
 
     /// Precision of the constant columns' prior. 0 for those that are free.
@@ -264,34 +270,34 @@ impl<'a> CauseColumns<'a> {
 
     /// Weights from the noise within tenths of the run, whose means further changes may explain.
     pub fn local_weights(&self, linear: &Linear) -> Vec<Weight> {
-        let fit = self.fit(linear, &linear.first_weights());
-        let residuals = linear.residuals_after(fit.as_slice());
-        linear.weights_of(residuals.iter().map(|kind| minus_segment_means(kind)).collect())
+        let residuals = self.fit(linear, 1).residuals;
+        let local: Vec<_> = residuals.iter().map(|kind| minus_segment_means(kind)).collect();
+        linear.weights_of(&local)
     }
 
     /// Whether constant causes and link deviations leave a residual beyond the noise.
     pub fn has_unexplained_residual(&self) -> bool {
-        let (linear, fit) = self.constant_fit();
-        let residuals = linear.residuals_after(fit.as_slice());
+        let residuals = self.constant_fit().1.residuals;
         exceeds_noise(&residuals) || has_slow_means(residuals)
     }
 
     /// Residual that constant causes and link deviations leave, rms m. Angles are weighted by 0.3 m.
     pub fn unexplained_m(&self) -> f64 {
-        let (linear, fit) = self.constant_fit();
-        let [m, rad] = rms_of_kinds(&linear.residuals_after(fit.as_slice()));
+        let [m, rad] = rms_of_kinds(&self.constant_fit().1.residuals);
         m.hypot(LEVER_M * rad)
     }
 
-    pub fn constant_fit(&self) -> (Linear, DVector<f64>) {
+    pub fn constant_fit(&self) -> (Linear, ReweightedFit) {
         let linear = self.linearize(&[]);
-        let fit = self.fit(&linear, &linear.first_weights());
-        let fit = self.fit(&linear, &linear.weights_after(fit.as_slice()));
+        let fit = self.fit(&linear, 2);
         (linear, fit)
     }
 
-    pub fn fit(&self, linear: &Linear, weights: &[Weight]) -> DVector<f64> {
-        self.normal_equations(linear, weights).full_step()
+    pub fn fit(&self, linear: &Linear, rounds: usize) -> ReweightedFit {
+        linear.reweighted_fit(rounds, |normal| {
+            self.add_prior(normal);
+            normal.full_step()
+        })
     }
 }
 

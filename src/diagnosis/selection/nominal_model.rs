@@ -14,12 +14,12 @@ use crate::latency::profile::explains_excess;
 use crate::model::jacobian::link_derivatives;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD, Prediction, StreamAt, StreamState};
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, price};
-use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::linear::{Linear, ReweightedFit, Weight};
 use crate::solver::noise::{Noise, rms};
 use crate::solver::robust::robust_sigma;
 use crate::{LatencyProfile, Measured, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Rms tip change by a calibration.
 pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
@@ -52,8 +52,9 @@ pub(crate) fn is_nominal(without_causes: StreamAt, with_causes: StreamAt, droppe
         return false;
     }
     let calibration = LinkFrameChanges::fit(without_causes);
-    let square_over_noise =
-        |kind: usize, rms: f64| rms.powi(2) - 3.0 * calibration.weights[kind].noise.sigma.powi(2);
+    let square_over_noise = |kind: usize, rms: f64| {
+        rms.powi(2) - 3.0 * calibration.fit.weights[kind].noise.sigma.powi(2)
+    };
     let excess = square_over_noise(0, rms_m).max(square_over_noise(1, rms_rad) / RAD_PER_M.powi(2));
     let is_named = without_causes.offsets.iter().any(|offset| *offset != 0.0);
     let min_excess_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
@@ -91,22 +92,22 @@ pub(crate) fn is_unsteady_beside_links(
     let constant = LinkFrameChanges::fit(logged.at(state, offsets));
     let unsteady = LinkFrameChanges::fit(steady.at(&steady_state, offsets));
     let price = price(unsteady.samples as f64) * profile.parameters as f64;
-    let excess = |fit: &LinkFrameChanges| {
+    let excess = |changes: &LinkFrameChanges| {
         [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
-            let Noise { sigma, share, .. } = unsteady.weights[kind].noise;
+            let Noise { sigma, share, .. } = unsteady.fit.weights[kind].noise;
             let white = (sigma.powi(2) * (1.0 - share)).max(floor * floor);
-            (fit.weights[kind].noise.sigma.powi(2) / white - 1.0).max(0.0)
+            (changes.fit.weights[kind].noise.sigma.powi(2) / white - 1.0).max(0.0)
         })
     };
-    let is_likelier = unsteady.gain_over(&constant.weights) > price;
+    let is_likelier = unsteady.gain_over(&constant.fit.weights) > price;
     Some(is_likelier && explains_excess(excess(&constant), excess(&unsteady)))
 }
 
 /// Noise of positions and rotations beside the likeliest link deviations, m and rad, and the sum of the squares of these,
 /// relative to their prior.
 pub(crate) fn noise_beside_links(stream: StreamAt) -> (Vec<f64>, f64) {
-    let fit = LinkFrameChanges::fit(stream);
-    let constrained = fit.step.iter().zip(&fit.usual).filter(|(_, usual)| **usual != FREE_PRIOR);
+    let LinkFrameChanges { fit, usual, .. } = LinkFrameChanges::fit(stream);
+    let constrained = fit.step.iter().zip(&usual).filter(|(_, usual)| **usual != FREE_PRIOR);
     let squares = constrained.map(|(step, usual)| (step / usual).powi(2)).sum();
     (fit.weights.iter().map(|weight| weight.noise.sigma).collect(), squares)
 }
@@ -125,7 +126,7 @@ pub(crate) fn timing_beside_link_deviations(stream: StreamAt, has_skew: bool) ->
     let StreamAt { observations, state, .. } = stream;
     let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
     let frames = link_frames(stream, observations.rows(MAX_SAMPLES), free);
-    let fit = LinkFrameChanges::fit_to(&frames, stream, LINK_PRIOR_M);
+    let fit = LinkFrameChanges::fit_to(&frames, stream, LINK_PRIOR_M).fit;
     let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
     let dof = (fit.normal.independent - frames.width as f64).max(1.0);
     let measured = |column: usize, before: f64| Measured {
@@ -152,12 +153,8 @@ pub(crate) fn rms_of_kinds(residuals: &[Vec<Vec3>]) -> [f64; 2] {
 /// Maximum a posteriori changes of link frames.
 struct LinkFrameChanges {
     samples: usize,
-    /// Weights after these changes.
-    weights: Vec<Weight>,
-    /// Changes in the order of [`link_frames`].
-    step: DVector<f64>,
-    /// Normal equations of the changes, with their priors.
-    normal: Normal,
+    /// Changes in the order of [`link_frames`], with their priors in the normal equations.
+    fit: ReweightedFit,
     /// Standard deviations of the prior.
     usual: Vec<f64>,
 }
@@ -173,7 +170,7 @@ pub(crate) fn calibrated_residuals(
     let linearized =
         |most: usize| link_frames(stream, stream.observations.rows(most), FreeAlongside::Nothing);
     let calibration = LinkFrameChanges::fit_to(&linearized(MAX_SAMPLES), stream, link_m);
-    linearized(most).residuals_after(calibration.step.as_slice())
+    linearized(most).residuals_after(calibration.fit.step.as_slice())
 }
 
 impl LinkFrameChanges {
@@ -192,17 +189,13 @@ impl LinkFrameChanges {
             _ => LINK_PRIOR_RAD * link_m / LINK_PRIOR_M,
         };
         let usual: Vec<f64> = (0..frames.width).map(usual).collect();
-        let (mut weights, mut step) = (frames.first_weights(), DVector::zeros(frames.width));
-        let mut normal = Normal::zeros(frames.width);
-        for _ in 0..FIT_ROUNDS {
-            normal = frames.normal(&weights);
+        let fit = frames.reweighted_fit(FIT_ROUNDS, |normal| {
             for (i, usual) in usual.iter().enumerate() {
                 normal.matrix[(i, i)] += usual.powi(-2);
             }
-            step = normal.full_step();
-            weights = frames.weights_after(step.as_slice());
-        }
-        Self { samples: frames.len(), weights, step, normal, usual }
+            normal.full_step()
+        });
+        Self { samples: frames.len(), fit, usual }
     }
 
     /// Complexity penalty with deviations of the likeliest size (MacKay 1992).
@@ -216,11 +209,11 @@ impl LinkFrameChanges {
     /// posterior over prior precision, minus that of parameters free without a calibration, plus the cost of the larger
     /// residual.
     fn price_at(&self, size: f64) -> f64 {
-        let Self { step, usual, .. } = self;
+        let Self { fit: ReweightedFit { step, normal: fitted, .. }, usual, .. } = self;
         let all: Vec<usize> = (0..usual.len()).collect();
         let (free, constrained): (Vec<usize>, Vec<usize>) =
             all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
-        let mut normal = self.normal.clone();
+        let mut normal = fitted.clone();
         let mut sizes = usual.clone();
         for &i in &constrained {
             sizes[i] *= size;
@@ -234,7 +227,7 @@ impl LinkFrameChanges {
             precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
         };
         let squares: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
-        let least_cost = self.normal.cost_after(step) - squares;
+        let least_cost = fitted.cost_after(step) - squares;
         let cost = normal.cost_after(&normal.full_step());
         cost - least_cost + narrowing(&all) - narrowing(&free)
     }
@@ -242,7 +235,7 @@ impl LinkFrameChanges {
     /// Twice the log likelihood ratio to a fit with weights `without_change`, both with this fit's noise
     /// correlation, which is closer to the truth.
     fn gain_over(&self, without_change: &[Weight]) -> f64 {
-        let gains = self.weights.iter().zip(without_change).map(|(weight, other)| {
+        let gains = self.fit.weights.iter().zip(without_change).map(|(weight, other)| {
             let independent = weight.noise.independent(self.samples);
             2.0 * independent * (other.noise.sigma / weight.noise.sigma).ln()
         });

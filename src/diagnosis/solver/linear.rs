@@ -55,6 +55,17 @@ pub(crate) struct Weight {
     robust: Vec<f64>,
 }
 
+/// Fit with weights from its own residuals.
+pub(crate) struct ReweightedFit {
+    /// Equations of the step.
+    pub normal: Normal,
+    pub step: DVector<f64>,
+    /// After the step, by kind.
+    pub residuals: Vec<Vec<Vec3>>,
+    /// From these residuals.
+    pub weights: Vec<Weight>,
+}
+
 impl Weight {
     pub fn leave_out(&mut self, sample: usize) {
         self.robust[sample] = 0.0;
@@ -161,23 +172,40 @@ impl Linear {
 
     /// Weights from the residuals.
     pub fn weights(&self) -> Vec<Weight> {
-        self.weights_of(self.residual.clone())
+        self.weights_of(&self.residual)
     }
 
     /// Weights from the residuals after a step.
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
-        self.weights_of(self.residuals_after(step))
+        self.weights_of(&self.residuals_after(step))
     }
 
     /// Weights from residuals of the samples.
-    pub fn weights_of(&self, residuals: Vec<Vec<Vec3>>) -> Vec<Weight> {
-        let of_kind = |(residual, &floor): (Vec<Vec3>, &f64)| {
-            let robust = huber(&residual, floor);
-            let noise = Noise::estimate(&residual, &robust, floor);
-            let recurrence = self.places.inflation(&residual, &robust, &noise);
+    pub fn weights_of(&self, residuals: &[Vec<Vec3>]) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (&Vec<Vec3>, &f64)| {
+            let robust = huber(residual, floor);
+            let noise = Noise::estimate(residual, &robust, floor);
+            let recurrence = self.places.inflation(residual, &robust, &noise);
             Weight { noise: Noise { recurrence, ..noise }, robust }
         };
-        residuals.into_iter().zip(&self.floor).map(of_kind).collect()
+        residuals.iter().zip(&self.floor).map(of_kind).collect()
+    }
+
+    /// Iteratively reweighted least squares. `solve` adds priors to the equations and returns the step.
+    pub fn reweighted_fit(
+        &self,
+        rounds: usize,
+        mut solve: impl FnMut(&mut Normal) -> DVector<f64>,
+    ) -> ReweightedFit {
+        let mut round = |weights: &[Weight]| {
+            let mut normal = self.normal(weights);
+            let step = solve(&mut normal);
+            let residuals = self.residuals_after(step.as_slice());
+            let weights = self.weights_of(&residuals);
+            ReweightedFit { normal, step, residuals, weights }
+        };
+        let first = round(&self.first_weights());
+        (1..rounds).fold(first, |fit, _| round(&fit.weights))
     }
 
     /// Row `row` of every sample, and its transpose.
