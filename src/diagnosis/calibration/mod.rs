@@ -19,7 +19,7 @@ pub use self::fit::calibrate_arm;
 pub use self::fixed_point::FixedPoint;
 use crate::Measured;
 use crate::priors::LINK_PRIOR_M;
-use crate::selection::link_deviations::DEVIATION_GRID_M;
+use crate::selection::link_deviations::{DEVIATION_RATIO, MAX_DEVIATION_M};
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
@@ -27,7 +27,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Bound of the deviations' standard deviation, m. Four times that of an audit: zeros that are not free parameters, of
 /// arms without a factory calibration, count as deviations as well.
-const MAX_LINK_SIZE_M: f64 = 4.0 * DEVIATION_GRID_M.1;
+const MAX_LINK_SIZE_M: f64 = 4.0 * MAX_DEVIATION_M;
 
 /// Pose stream to calibrate from.
 #[derive(Clone, Debug)]
@@ -222,7 +222,7 @@ impl ArmCalibration {
 
     /// Whether the standard deviation of the deviations is the largest one tried, so a larger one may be likelier.
     pub fn is_link_size_at_bound(&self) -> bool {
-        self.link_m * DEVIATION_GRID_M.2 >= MAX_LINK_SIZE_M
+        self.link_m * DEVIATION_RATIO >= MAX_LINK_SIZE_M
     }
 
     /// Value with standard error.

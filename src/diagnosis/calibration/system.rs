@@ -3,7 +3,7 @@
 use super::parameters::CalibrationParameters;
 use super::{CalibrationStream, FrameFreedom, MAX_LINK_SIZE_M, PointDistance};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, pose_of_twist};
-use crate::selection::link_deviations::DEVIATION_GRID_M;
+use crate::selection::link_deviations::{MIN_DEVIATION_M, deviation_grid_m};
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal, Weight};
 use ground::geometry::{Pose, Vec3};
@@ -139,9 +139,7 @@ impl CalibrationSystem<'_> {
     /// Equations of all samples and distances.
     pub fn normal(&self, linearized: &[LinearizedStream], state: &CalibrationState) -> Normal {
         let mut normal = self.sample_normal(linearized);
-        let distances = self.distance_normal(state);
-        normal.matrix += distances.matrix;
-        normal.right += distances.right;
+        normal += self.distance_normal(state);
         normal
     }
 
@@ -168,7 +166,6 @@ impl CalibrationSystem<'_> {
             }
             normal.right += weight * residual * &along;
             normal.matrix += weight * &along * along.transpose();
-            normal.independent += 1.0;
         }
         normal
     }
@@ -177,20 +174,17 @@ impl CalibrationSystem<'_> {
         let mut normal = Normal::zeros(self.parameters.width);
         for (s, LinearizedStream { linear, weights }) in linearized.iter().enumerate() {
             let (stream, columns) = (&self.streams[s], &self.columns[s]);
-            let own = linear.normal(weights);
-            normal.matrix += columns.tr_mul(&own.matrix) * columns;
-            normal.right += columns.tr_mul(&own.right);
-            normal.cost += own.cost;
+            let mut own = linear.normal(weights).mapped(columns);
             // Distances from a fixed point shrink with the arm. Relative to its size they do not:
             // the derivative of r / (1 + scale).
             if matches!(stream.reference_freedom, FrameFreedom::Position(_)) {
-                normal.right += own.cost * &self.parameters.scale;
+                own.right += own.cost * &self.parameters.scale;
             }
             // Excluded rotations are exact zeros.
-            normal.independent += match stream.is_rotation_excluded {
-                true => weights[0].noise.independent(linear.len()),
-                false => own.independent,
-            };
+            if stream.is_rotation_excluded {
+                own.independent = weights[0].noise.independent(linear.len());
+            }
+            normal += own;
         }
         normal
     }
@@ -243,23 +237,18 @@ impl CalibrationSystem<'_> {
     pub fn link_sizes_m(&self, normal: &Normal, state: &CalibrationState) -> [f64; 2] {
         /// Twice the logarithm of a likelihood ratio: 95 % of χ² with one degree of freedom.
         const MAX_LOG_RATIO: f64 = 3.84;
-        let (min_m, _, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
             let Some((prior, cholesky)) = self.posterior(normal, link_m) else {
                 return f64::NEG_INFINITY;
             };
-            let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
-            total.dot(&cholesky.solve(&total)) - log_det
+            total.dot(&cholesky.solve(&total)) - cholesky.ln_determinant()
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
-        let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
-        let tried: Vec<(f64, f64)> = tried
-            .take_while(|link_m| *link_m < MAX_LINK_SIZE_M)
-            .map(|link_m| (link_m, evidence(link_m)))
-            .collect();
+        let sizes_m = deviation_grid_m(MAX_LINK_SIZE_M);
+        let tried: Vec<(f64, f64)> = sizes_m.map(|link_m| (link_m, evidence(link_m))).collect();
         let best = tried.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
-        let (best_m, highest) = best.unwrap_or((min_m, 0.0));
+        let (best_m, highest) = best.unwrap_or((MIN_DEVIATION_M, 0.0));
         let likely = tried.iter().filter(|(_, evidence)| highest - evidence <= MAX_LOG_RATIO);
         [best_m, likely.fold(best_m, |largest_m, (link_m, _)| largest_m.max(*link_m))]
     }

@@ -442,9 +442,12 @@ impl BaseFit {
         let cholesky = ridged(own).cholesky()?;
         let right = &added.with_residual - added.with_base.tr_mul(&self.parameters);
         let parameters = cholesky.solve(&right);
-        let log_det = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
-        let base = &self.parameters - by_base * &parameters;
-        Some(ExtendedFit { gain: right.dot(&parameters), base, added: parameters, log_det })
+        Some(ExtendedFit {
+            gain: right.dot(&parameters),
+            base: &self.parameters - by_base * &parameters,
+            added: parameters,
+            log_det: cholesky.ln_determinant(),
+        })
     }
 
     /// Change of the sum of squares by additional columns without a prior.

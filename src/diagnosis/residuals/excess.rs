@@ -110,8 +110,7 @@ fn fold_correlation(
     let predicted = |fold: usize| {
         let mut normal = Normal::zeros(folds[fold].width);
         for (_, other) in normals.iter().enumerate().filter(|(other, _)| *other != fold) {
-            normal.matrix += &other.matrix;
-            normal.right += &other.right;
+            normal += other.clone();
         }
         for i in 0..normal.right.len() {
             normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);

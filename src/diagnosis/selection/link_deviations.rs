@@ -30,8 +30,10 @@ use ground::robot::{JointKind, turn_z_to};
 use ground::stats::MeasuredLength;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6};
 
-/// Minimum, maximum, ratio.
-pub(crate) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
+pub(crate) const MIN_DEVIATION_M: f64 = 1e-5;
+pub(crate) const MAX_DEVIATION_M: f64 = 3e-3;
+/// Ratio of successive sizes that are tried.
+pub(crate) const DEVIATION_RATIO: f64 = 1.6;
 /// Zeros with a larger standard error, relative to [`ZERO_PRIOR`], are not observable.
 const MAX_STD_ERROR_SHARE: f64 = 0.5;
 const MAX_ZEROS: usize = 4;
@@ -210,7 +212,7 @@ pub(crate) fn causes_beyond_link_deviations(
     let additional =
         |causes: &[Cause]| AdditionalCauses::for_stream(causes, at.observations, stream);
     let evidence = |causes: &[Cause]| model.evidence(&additional(causes));
-    let min_gain = price(model.dof);
+    let min_gain = price(model.dof());
     let mut retained = causes.to_vec();
     let mut present = evidence(&retained);
     while !retained.is_empty() {
@@ -262,15 +264,14 @@ pub(crate) fn zero_instead_of_frame(
     };
     let scored = zeros.map(|zero| (evidence(Some(zero)), zero));
     let (likeliest, zero) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let is_needed = || likeliest > evidence(None) + price(models[0].dof);
+    let is_needed = || likeliest > evidence(None) + price(models[0].dof());
     (likeliest > evidence(Some(frame)) && is_needed()).then_some(zero)
 }
 
-/// Ascending grid up to `max_size_m`.
-fn sizes_m(max_size_m: f64) -> impl Iterator<Item = f64> {
-    let (min_size_m, _, times) = DEVIATION_GRID_M;
-    let tried = std::iter::successors(Some(min_size_m), move |size_m| Some(size_m * times));
-    tried.take_while(move |size_m| *size_m < max_size_m).chain([max_size_m])
+/// Ascending sizes of link deviations below `limit_m`.
+pub(crate) fn deviation_grid_m(limit_m: f64) -> impl Iterator<Item = f64> {
+    let sizes_m = std::iter::successors(Some(MIN_DEVIATION_M), |size_m| Some(size_m * DEVIATION_RATIO));
+    sizes_m.take_while(move |size_m| *size_m < limit_m)
 }
 
 /// Stream linearised in link frames, latency and zeros.
@@ -280,8 +281,6 @@ struct DeviationModel {
     kinds: Vec<DeviationParameter>,
     /// In the chain.
     joints: usize,
-    /// Degrees of freedom of the noise estimate.
-    dof: f64,
 }
 
 struct DeviationFit {
@@ -337,16 +336,18 @@ impl DeviationModel {
         }
         let every = AdditionalCauses { zeros: (0..joints).collect(), ..Default::default() };
         let mut weights = linear.first_weights();
-        let mut model = Self { normal: Normal::zeros(kinds.len()), kinds, joints, dof: 3.0 };
+        let mut model = Self { normal: Normal::zeros(kinds.len()), kinds, joints };
         for _ in 0..4 {
-            let normal = linear.normal(&weights);
-            model.dof = normal.dof(model.kinds.len());
-            model.normal.matrix = columns.tr_mul(&normal.matrix) * &columns;
-            model.normal.right = columns.tr_mul(&normal.right);
+            model.normal = linear.normal(&weights).mapped(&columns);
             let Some(fit) = model.fit_with(&every, &model.uniform_sizes(1e-3)) else { break };
             weights = linear.weights_after((&columns * &fit.mean).as_slice());
         }
         Some(model)
+    }
+
+    /// Degrees of freedom of the noise estimate.
+    fn dof(&self) -> f64 {
+        self.normal.dof(self.kinds.len())
     }
 
     fn uniform_sizes(&self, size_m: f64) -> Vec<f64> {
@@ -400,7 +401,6 @@ impl DeviationModel {
         }
         let cholesky = precision.cholesky()?;
         let mean = cholesky.solve(&self.normal.right);
-        let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
         let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
         let usual_m = self.typical_size_m(sizes_m);
         // Of the scaled inverse χ² prior of each variance; 0 if all have the usual size.
@@ -412,7 +412,10 @@ impl DeviationModel {
         Some(DeviationFit {
             zeros: additional.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
-            evidence: self.normal.right.dot(&mean) - log_det - log_prior - SIZE_PRIOR_DOF * unlike,
+            evidence: self.normal.right.dot(&mean)
+                - cholesky.ln_determinant()
+                - log_prior
+                - SIZE_PRIOR_DOF * unlike,
             mean,
             precision: cholesky,
         })
@@ -446,7 +449,7 @@ impl DeviationModel {
         (variance > 0.0).then(|| Measured {
             value: fit.mean[at],
             std_error: variance.sqrt(),
-            dof: self.dof.min(others),
+            dof: self.dof().min(others),
         })
     }
 
@@ -477,11 +480,11 @@ impl DeviationModel {
     /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
     /// probability of that size.
     fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
-        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(|size_m| {
-            let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
-            Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
-        });
-        let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
+        let log_likelihood = |(size_m, fit): (f64, DeviationFit)| {
+            (0.5 * (fit.evidence + Self::log_prior(size_m)), fit)
+        };
+        let mut fits: Vec<(f64, DeviationFit)> =
+            self.fits_with_equal_sizes(additional).map(log_likelihood).collect();
         let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
@@ -489,10 +492,20 @@ impl DeviationModel {
         (2.0 * (likeliest + total.ln()), fits)
     }
 
+    /// One fit per common size of the deviations.
+    fn fits_with_equal_sizes(
+        &self,
+        additional: &AdditionalCauses,
+    ) -> impl Iterator<Item = (f64, DeviationFit)> {
+        let sizes_m = deviation_grid_m(MAX_DEVIATION_M).chain([MAX_DEVIATION_M]);
+        sizes_m.filter_map(|size_m| {
+            Some((size_m, self.fit_with(additional, &self.uniform_sizes(size_m))?))
+        })
+    }
+
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
-        let (min_size_m, max_size_m, _) = DEVIATION_GRID_M;
         let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
-        (self.groups().count() as f64 / precisions).sqrt().clamp(min_size_m, max_size_m)
+        (self.groups().count() as f64 / precisions).sqrt().clamp(MIN_DEVIATION_M, MAX_DEVIATION_M)
     }
 
     /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
@@ -538,16 +551,15 @@ impl DeviationModel {
                 sums[*group].1 += 1.0;
             }
         }
-        let (min_size_m, max_size_m, _) = DEVIATION_GRID_M;
-        let size_m = |(sum, count): (f64, f64)| (sum / count).sqrt().clamp(min_size_m, max_size_m);
+        let size_m =
+            |(sum, count): (f64, f64)| (sum / count).sqrt().clamp(MIN_DEVIATION_M, MAX_DEVIATION_M);
         sums.into_iter().map(size_m).collect()
     }
 
     /// Started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
         let none = AdditionalCauses::default();
-        let fit = |link_m| self.fit_with(&none, &self.uniform_sizes(link_m));
-        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(fit);
+        let fits = self.fits_with_equal_sizes(&none).map(|(_, fit)| fit);
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
         self.maximize_likelihood(&none, &best.sizes_m)
     }
@@ -655,7 +667,7 @@ impl DeviationModel {
         let mut alone: Vec<(usize, DeviationFit)> = alone.collect();
         alone.sort_by(|a, b| b.1.evidence.total_cmp(&a.1.evidence));
         let (link, best) = alone.first()?;
-        let min_gain = (MIN_RESIDUAL_RATIO.powi(2) - 1.0) * self.dof;
+        let min_gain = (MIN_RESIDUAL_RATIO.powi(2) - 1.0) * self.dof();
         let is_needed = best.evidence > self.fit_with(&zeros, &usual)?.evidence + min_gain;
         let is_single = alone
             .get(1)
@@ -665,7 +677,7 @@ impl DeviationModel {
             let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
             let mean: Vec<f64> = own.iter().map(|&i| best.mean[i]).collect();
             let covariance = best.covariance_columns(&own).select_rows(&own);
-            let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
+            let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof()).norm;
             LinkDisplacement { joints: [columns[link - 1], columns[*link]], length_m }
         })
     }

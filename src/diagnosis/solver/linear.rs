@@ -5,6 +5,7 @@ use super::recurrence::Places;
 use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma, sandwich};
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
+use std::ops::AddAssign;
 use std::sync::OnceLock;
 
 /// Residuals and design matrix of a stream, linearised about a state. Each sample has a three-component
@@ -451,6 +452,15 @@ impl Normal {
         }
     }
 
+    /// Equations of the parameters that `columns` map to these.
+    pub fn mapped(&self, columns: &DMatrix<f64>) -> Self {
+        Self {
+            matrix: columns.tr_mul(&self.matrix) * columns,
+            right: columns.tr_mul(&self.right),
+            ..*self
+        }
+    }
+
     /// Step that minimises the cost over `free` and returns the other parameters to zero.
     pub fn step(&self, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
         let mut step = -values;
@@ -534,6 +544,15 @@ impl Normal {
         let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];
         let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
         (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
+    }
+}
+
+impl AddAssign for Normal {
+    fn add_assign(&mut self, other: Self) {
+        self.matrix += other.matrix;
+        self.right += other.right;
+        self.cost += other.cost;
+        self.independent += other.independent;
     }
 }
 
