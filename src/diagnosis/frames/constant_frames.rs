@@ -5,13 +5,14 @@ use super::rotation_frames::mean_rotation;
 use crate::model::jacobian::pose_change;
 use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, stacked};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::linear::Normal;
+use crate::solver::minimize::{LeastSquares, Limits, minimize};
 use crate::solver::noise::rms;
 use ground::geometry::{
     Axes, Pose, Rotation, Vec3, angle_between, mean_vector, pose, rotation_by_wahba,
     rotation_from_rotvec, rotvec_from_rotation,
 };
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Vector6};
 use std::sync::LazyLock;
 
 const INITIAL_GUESS_SAMPLES: usize = 120;
@@ -255,7 +256,7 @@ struct FramePair<'a> {
 impl LeastSquares for FramePair<'_> {
     type State = (Pose, Pose);
 
-    fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
+    fn linearize(&self, (reference, tool): &Self::State) -> Option<Normal> {
         // Weights of the squared residuals of position and rotation.
         const WEIGHTS: [f64; 2] = [
             1.0 / (START_NOISE_M * START_NOISE_M),
@@ -285,9 +286,10 @@ impl LeastSquares for FramePair<'_> {
         let count = self.fk.len() as f64;
         let [position, rotation] = WEIGHTS;
         let levers = points.cross_matrix();
-        let mut matrix = SMatrix::<f64, 12, 12>::identity() * (count * position);
+        let mut matrix = DMatrix::identity(12, 12) * (count * position);
         let mut set = |row: usize, column: usize, block: Matrix3<f64>| {
             matrix.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+            matrix.fixed_view_mut::<3, 3>(column, row).copy_from(&block.transpose());
         };
         let unit = Matrix3::identity() * (count * rotation);
         set(3, 0, position * levers);
@@ -296,8 +298,8 @@ impl LeastSquares for FramePair<'_> {
         set(6, 3, position * crosses.transpose());
         set(9, 3, rotation * hands.transpose());
         set(9, 9, unit);
-        let right = right.iter().flat_map(|part| part.iter().copied());
-        let mut normal = NormalEquations::from_sums(|i, j| matrix[(i, j)], right, cost);
+        let right = DVector::from_iterator(12, right.iter().flatten().copied());
+        let mut normal = Normal { matrix, right, cost, independent: 0.0 };
         add_tool_prior(&mut normal, tool);
         Some(normal)
     }
@@ -307,13 +309,11 @@ impl LeastSquares for FramePair<'_> {
     }
 }
 
-fn add_tool_prior(normal: &mut NormalEquations, tool: &Pose) {
+fn add_tool_prior(normal: &mut Normal, tool: &Pose) {
     // Changes of the tool are along its own axes.
     let own = tool.rotation.inverse() * tool.translation.vector;
     for axis in 0..3 {
-        let mut prior = [0.0; 12];
-        prior[6 + axis] = 1.0 / MARKER_PRIOR_M;
-        normal.add(&prior, -own[axis] / MARKER_PRIOR_M);
+        normal.add_prior(6 + axis, 1.0 / MARKER_PRIOR_M, -own[axis]);
     }
 }
 
@@ -344,6 +344,7 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
 mod tests {
     use super::*;
     use crate::model::jacobian::{Derivative, PoseJacobian};
+    use crate::solver::minimize::PoseSums;
 
     #[test]
     fn equations_of_frames_equal_sums_over_poses() {
@@ -356,7 +357,7 @@ mod tests {
         let logged: Vec<Pose> = fk.iter().map(|fk| random(30) * reference * fk * tool).collect();
         let pair = FramePair { fk: &fk, logged: &logged };
         let equations = pair.linearize(&(reference, tool)).expect("valid frames");
-        let mut sums = NormalEquations::zeros(12);
+        let mut sums = PoseSums::new(12);
         for (fk, logged) in fk.iter().zip(&logged) {
             let jacobian = PoseJacobian::new(&[], &reference, fk, &tool);
             let derivatives: [Derivative; 12] = std::array::from_fn(|i| match i {
@@ -366,12 +367,12 @@ mod tests {
             let turn = logged.rotation * jacobian.pose.rotation.inverse();
             let position = logged.translation.vector - jacobian.pose.translation.vector;
             let weights = [1.0 / START_NOISE_M, LEVER_M / START_NOISE_M];
-            sums.add_pose(&derivatives, [position, rotvec_from_rotation(&turn)], weights);
+            sums.add(&derivatives, [position, rotvec_from_rotation(&turn)], weights);
         }
+        let mut sums = sums.normal();
         add_tool_prior(&mut sums, &tool);
-        for (a, b) in (0..12).flat_map(|b| (0..b).map(move |a| (a, b))) {
-            let [found, expected] = [&equations, &sums].map(|of| of.cost_after(&[a, b]));
-            assert!((found / expected - 1.0).abs() < 1e-9, "{a}, {b}: {found}, not {expected}");
-        }
+        assert!((&equations.matrix - &sums.matrix).amax() < 1e-9 * sums.matrix.amax());
+        assert!((&equations.right - &sums.right).amax() < 1e-9 * sums.right.amax());
+        assert!((equations.cost / sums.cost - 1.0).abs() < 1e-9);
     }
 }

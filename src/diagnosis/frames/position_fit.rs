@@ -1,7 +1,8 @@
 //! Compares positions with FK before rotations are decoded.
 
 use crate::priors::MARKER_PRIOR_M;
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::linear::Normal;
+use crate::solver::minimize::{LeastSquares, Limits, minimize};
 use ground::geometry::{
     Pose, Rotation, Vec3, mean_vector, pose, rotation_by_wahba, rotation_from_rotvec,
 };
@@ -134,17 +135,19 @@ impl LeastSquares for PositionFit<'_> {
     type State = (Rotation, Vec3);
 
     /// The cost is the sum of squares times `1 + |tool|² / (3n·MARKER_PRIOR_M²)`: a prior in units of the residual.
-    fn linearize(&self, (rotation, tool): &Self::State) -> Option<NormalEquations> {
+    fn linearize(&self, (rotation, tool): &Self::State) -> Option<Normal> {
         let Sums { products, weighted, squares, .. } = self.sums(rotation, tool);
         let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * MARKER_PRIOR_M.powi(2));
         let factor = 1.0 + prior * tool.norm_squared();
-        let (mut matrix, mut right) = (products * factor, weighted * factor);
+        let mut normal = Normal::zeros(6);
+        normal.matrix.copy_from(&(products * factor));
+        normal.right.copy_from(&(weighted * factor));
+        normal.cost = squares * factor;
         for axis in 0..3 {
-            matrix[(3 + axis, 3 + axis)] += squares * prior;
-            right[3 + axis] -= squares * prior * tool[axis];
+            normal.matrix[(3 + axis, 3 + axis)] += squares * prior;
+            normal.right[3 + axis] -= squares * prior * tool[axis];
         }
-        let cost = squares * factor;
-        Some(NormalEquations::from_sums(|i, j| matrix[(i, j)], right.iter().copied(), cost))
+        Some(normal)
     }
 
     fn moved(&self, (rotation, tool): &Self::State, step: &[f64]) -> Self::State {

@@ -1,9 +1,11 @@
 //! Fits constant frames between two series of rotations.
 
+use crate::model::measurement::stacked;
 use crate::residuals::cause_columns::Frame;
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::linear::Normal;
+use crate::solver::minimize::{LeastSquares, Limits, minimize};
 use ground::geometry::{Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec};
-use nalgebra::{Matrix3, Vector4};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector4};
 
 /// Candidate rotations of every sample under one encoding.
 #[derive(Default)]
@@ -154,7 +156,7 @@ struct RotationPair<'a> {
 impl LeastSquares for RotationPair<'_> {
     type State = (Rotation, Rotation);
 
-    fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
+    fn linearize(&self, (reference, tool): &Self::State) -> Option<Normal> {
         let (mut products, mut sum) = (Matrix3::zeros(), Vec3::zeros());
         let (mut weighted, mut count, mut cost) = (Vec3::zeros(), 0.0, 0.0);
         for (truth, fk) in self.candidates.iter().zip(self.fk) {
@@ -169,13 +171,11 @@ impl LeastSquares for RotationPair<'_> {
             cost += residual.norm_squared();
         }
         // The design of a sample is `[I, hand]`.
-        let matrix = |i: usize, j: usize| match (i, j) {
-            _ if i == j => count,
-            (3.., 0..3) => products[(j, i - 3)],
-            _ => 0.0,
-        };
-        let right = sum.iter().chain(weighted.iter()).copied();
-        Some(NormalEquations::from_sums(matrix, right, cost))
+        let mut matrix = DMatrix::identity(6, 6) * count;
+        matrix.fixed_view_mut::<3, 3>(0, 3).copy_from(&products);
+        matrix.fixed_view_mut::<3, 3>(3, 0).copy_from(&products.transpose());
+        let right = DVector::from_row_slice(&stacked([sum, weighted]));
+        Some(Normal { matrix, right, cost, independent: 0.0 })
     }
 
     fn moved(&self, (reference, tool): &Self::State, step: &[f64]) -> Self::State {

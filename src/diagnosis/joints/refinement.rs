@@ -4,7 +4,8 @@ use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, Res
 use super::map::{Coupling, JointMap};
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::pose_of_twist;
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::linear::Normal;
+use crate::solver::minimize::{LeastSquares, Limits, PoseSums, minimize};
 
 #[derive(Clone, Debug)]
 pub(super) struct JointProposal {
@@ -91,7 +92,7 @@ struct ProposalFit<'a> {
 impl LeastSquares for ProposalFit<'_> {
     type State = (JointMap, ConstantFrames);
 
-    fn linearize(&self, (map, frames): &Self::State) -> Option<NormalEquations> {
+    fn linearize(&self, (map, frames): &Self::State) -> Option<Normal> {
         let Self { proposal, view, tool_parameters, reference_parameters } = *self;
         let dof = view.chain.dof();
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
@@ -101,7 +102,7 @@ impl LeastSquares for ProposalFit<'_> {
             + usize::from(proposal.fits_coupling)
             + tool_parameters
             + reference_parameters;
-        let mut normal = NormalEquations::zeros(width);
+        let mut sums = PoseSums::new(width);
         let mut derivatives: Vec<Derivative> = Vec::with_capacity(width);
         for (k, row) in view.q.chunks_exact(dof).enumerate() {
             map.apply(row, &mut q);
@@ -121,9 +122,9 @@ impl LeastSquares for ProposalFit<'_> {
             derivatives.extend((0..tool_parameters).map(|axis| jacobian.tool(axis)));
             derivatives.extend((0..reference_parameters).map(|axis| jacobian.reference(axis)));
             let residual = view.residual(k, &jacobian.pose);
-            normal.add_pose(&derivatives, residual, weights);
+            sums.add(&derivatives, residual, weights);
         }
-        Some(normal)
+        Some(sums.normal())
     }
 
     fn moved(&self, (map, frames): &Self::State, step: &[f64]) -> Self::State {

@@ -13,7 +13,8 @@ use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
-use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use crate::solver::linear::Normal;
+use crate::solver::minimize::{LeastSquares, Limits, MIN_DAMPING, PoseSums, minimize};
 use crate::solver::robust::trimmed_rms;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::stream::JointTrack;
@@ -366,13 +367,15 @@ impl<'a> StreamWithFk<'a> {
         let hypothesis = Hypothesis { stream: self, free: &free, prior };
         let starts = self.starts(is_free).into_iter();
         let linear = starts.filter_map(|start| hypothesis.linearize(&start));
-        let Some(linear) = linear.min_by(|a, b| a.cost().total_cmp(&b.cost())) else {
+        let Some(linear) = linear.min_by(|a, b| a.cost.total_cmp(&b.cost)) else {
             return Vec::new();
         };
         let cost_with = |joint: usize| {
             let is_free = |at: &usize| !(1..=dof).contains(at) || *at == 1 + joint;
             let parameters: Vec<usize> = (0..free.len()).filter(is_free).collect();
-            linear.cost_after(&parameters)
+            let own = linear.selected(&parameters);
+            let step = own.damped_step(MIN_DAMPING);
+            step.map_or(f64::INFINITY, |step| own.cost - own.right.dot(&step))
         };
         let mut joints: Vec<(f64, usize)> =
             (0..dof).map(|joint| (cost_with(joint), joint)).collect();
@@ -489,11 +492,11 @@ struct Hypothesis<'a> {
 impl LeastSquares for Hypothesis<'_> {
     type State = FittedParameters;
 
-    fn linearize(&self, parameters: &FittedParameters) -> Option<NormalEquations> {
+    fn linearize(&self, parameters: &FittedParameters) -> Option<Normal> {
         /// At the fitted latency. Few covered samples fit too easily.
         const MIN_COVERED_SHARE: f64 = 0.75;
         let dof = parameters.zeros.len();
-        let mut normal = NormalEquations::zeros(self.free.len());
+        let mut sums = PoseSums::new(self.free.len());
         let mut samples = 0;
         let mut derivatives = Vec::with_capacity(self.free.len());
         self.stream.predict(parameters, |jacobian, qd, logged| {
@@ -505,19 +508,18 @@ impl LeastSquares for Hypothesis<'_> {
                 p => jacobian.tool(p - 7 - dof),
             }));
             let position = logged - jacobian.pose.translation.vector;
-            normal.add_pose(&derivatives, [position, Vec3::zeros()], [1.0, 0.0]);
+            sums.add(&derivatives, [position, Vec3::zeros()], [1.0, 0.0]);
             samples += 1;
         });
         let min_covered = (MIN_COVERED_SHARE * self.stream.samples.t_s.len() as f64) as usize;
         if samples < MIN_SAMPLES.max(min_covered) {
             return None;
         }
+        let mut normal = sums.normal();
         let weights = self.prior.weights() * (samples as f64).sqrt();
         for (at, &parameter) in self.free.iter().enumerate() {
             if let Some(axis) = parameter.checked_sub(7 + dof) {
-                let mut row = vec![0.0; self.free.len()];
-                row[at] = weights[axis];
-                normal.add(&row, -weights[axis] * parameters.tool[axis]);
+                normal.add_prior(at, weights[axis], -parameters.tool[axis]);
             }
         }
         Some(normal)

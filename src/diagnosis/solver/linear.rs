@@ -501,6 +501,28 @@ impl Normal {
         self.step_from_zero(&Vec::from_iter(0..self.right.len()))
     }
 
+    /// Step with each diagonal entry increased by the share `damping`. `None` if the residuals do not determine it.
+    pub fn damped_step(&self, damping: f64) -> Option<DVector<f64>> {
+        let cholesky = damped(self.matrix.clone(), damping).cholesky()?;
+        Some(cholesky.solve(&self.right))
+    }
+
+    /// Equations of these parameters alone.
+    pub fn selected(&self, parameters: &[usize]) -> Self {
+        Self {
+            matrix: self.matrix.select_rows(parameters).select_columns(parameters),
+            right: self.right.select_rows(parameters),
+            ..*self
+        }
+    }
+
+    /// Adds a residual of one parameter with a weight.
+    pub fn add_prior(&mut self, parameter: usize, weight: f64, residual: f64) {
+        self.matrix[(parameter, parameter)] += weight * weight;
+        self.right[parameter] += weight * (weight * residual);
+        self.cost += (weight * residual).powi(2);
+    }
+
     /// Degrees of freedom besides this number of parameters.
     pub fn dof(&self, parameters: usize) -> f64 {
         (self.independent - parameters as f64).max(3.0)
@@ -610,10 +632,14 @@ impl SharedEquations {
 }
 
 /// Unobservable directions count little.
-pub(crate) fn ridged(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn ridged(matrix: DMatrix<f64>) -> DMatrix<f64> {
     const RIDGE: f64 = 1e-9;
+    damped(matrix, RIDGE)
+}
+
+fn damped(mut matrix: DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     for i in 0..matrix.nrows() {
-        matrix[(i, i)] += RIDGE * matrix[(i, i)].abs() + f64::MIN_POSITIVE;
+        matrix[(i, i)] += damping * matrix[(i, i)].abs() + f64::MIN_POSITIVE;
     }
     matrix
 }

@@ -1,114 +1,57 @@
 //! Levenberg–Marquardt for small nonlinear least-squares problems (Levenberg 1944, Marquardt 1963).
 
+use super::linear::Normal;
 use crate::model::jacobian::Derivative;
 use ground::geometry::Vec3;
-use nalgebra::{DMatrix, DVector};
 
 /// Relative to the diagonal.
-const MIN_DAMPING: f64 = 1e-6;
+pub(crate) const MIN_DAMPING: f64 = 1e-6;
 
-/// Problem linearised about a state.
-pub(crate) struct NormalEquations {
-    /// Upper triangle of `AᵀA`.
-    triangle: DMatrix<f64>,
-    /// `Aᵀr`.
-    right: DVector<f64>,
-    /// `rᵀr`.
-    cost: f64,
+/// Sums over the poses of a problem linearised about a state.
+pub(crate) struct PoseSums {
+    /// Of the matrix, the upper triangle.
+    normal: Normal,
     /// Derivatives of a position or rotation.
     rows: [Vec<f64>; 3],
 }
 
-impl NormalEquations {
-    /// From sums over all residuals; `matrix` gives the lower triangle of `AᵀA`.
-    pub fn from_sums(
-        matrix: impl Fn(usize, usize) -> f64,
-        right: impl IntoIterator<Item = f64>,
-        cost: f64,
-    ) -> Self {
-        let right = DVector::from_vec(right.into_iter().collect());
-        let at = |j: usize, i: usize| if j <= i { matrix(i, j) } else { 0.0 };
-        let triangle = DMatrix::from_fn(right.len(), right.len(), at);
-        Self { triangle, rows: Default::default(), right, cost }
+impl PoseSums {
+    pub fn new(width: usize) -> Self {
+        Self { normal: Normal::zeros(width), rows: Default::default() }
     }
 
-    pub fn zeros(width: usize) -> Self {
-        let triangle = DMatrix::zeros(width, width);
-        Self { triangle, right: DVector::zeros(width), cost: 0.0, rows: Default::default() }
-    }
-
-    /// Adds one residual with its derivatives.
-    pub fn add(&mut self, derivatives: &[f64], residual: f64) {
-        let columns = self.triangle.as_mut_slice().chunks_exact_mut(self.right.len().max(1));
-        for (i, (column, a)) in columns.zip(derivatives).enumerate() {
-            if *a != 0.0 {
-                self.right[i] += a * residual;
-                column[..=i].iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
+    /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
+    pub fn add(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
+        for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
+            for (axis, row) in self.rows.iter_mut().enumerate() {
+                row.clear();
+                row.extend(derivatives.iter().map(|derivative| weight * derivative[kind][axis]));
             }
+            self.add_rows((weight * residual[kind]).into());
         }
-        self.cost += residual * residual;
     }
 
     /// Adds three residuals, in one pass over the sums.
-    fn add_three(&mut self, [x, y, z]: [&[f64]; 3], residuals: [f64; 3]) {
-        let columns = self.triangle.as_mut_slice().chunks_exact_mut(self.right.len().max(1));
+    fn add_rows(&mut self, residuals: [f64; 3]) {
+        let Normal { matrix, right, cost, .. } = &mut self.normal;
+        let [x, y, z] = self.rows.each_ref().map(Vec::as_slice);
+        let columns = matrix.as_mut_slice().chunks_exact_mut(right.len().max(1));
         for (i, (column, ((a, b), c))) in columns.zip(x.iter().zip(y).zip(z)).enumerate() {
             if *a == 0.0 && *b == 0.0 && *c == 0.0 {
                 continue;
             }
-            let right = &mut self.right[i];
+            let right = &mut right[i];
             *right = *right + a * residuals[0] + b * residuals[1] + c * residuals[2];
             for (((sum, x), y), z) in column[..=i].iter_mut().zip(x).zip(y).zip(z) {
                 *sum = *sum + a * x + b * y + c * z;
             }
         }
-        self.cost = residuals.iter().fold(self.cost, |sum, residual| sum + residual * residual);
+        *cost = residuals.iter().fold(*cost, |sum, residual| sum + residual * residual);
     }
 
-    /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
-    pub fn add_pose(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
-        let mut rows = std::mem::take(&mut self.rows);
-        for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
-            for (axis, row) in rows.iter_mut().enumerate() {
-                row.clear();
-                row.extend(derivatives.iter().map(|derivative| weight * derivative[kind][axis]));
-            }
-            self.add_three(rows.each_ref().map(Vec::as_slice), (weight * residual[kind]).into());
-        }
-        self.rows = rows;
-    }
-
-    pub fn cost(&self) -> f64 {
-        self.cost
-    }
-
-    /// Cost after the least-squares step of these parameters alone. Infinite if the residuals do not determine them.
-    pub fn cost_after(&self, parameters: &[usize]) -> f64 {
-        let right = DVector::from_fn(parameters.len(), |i, _| self.right[parameters[i]]);
-        let step = self.solve(parameters, &right, MIN_DAMPING);
-        step.map_or(f64::INFINITY, |step| self.cost - right.dot(&step))
-    }
-
-    /// Step with each diagonal entry increased by the share `damping`.
-    fn step(&self, damping: f64) -> Option<DVector<f64>> {
-        let all: Vec<usize> = (0..self.right.len()).collect();
-        self.solve(&all, &self.right, damping)
-    }
-
-    /// Step of these parameters, ascending.
-    fn solve(
-        &self,
-        parameters: &[usize],
-        right: &DVector<f64>,
-        damping: f64,
-    ) -> Option<DVector<f64>> {
-        let width = parameters.len();
-        let at = |i: usize, j: usize| self.triangle[(parameters[i.min(j)], parameters[i.max(j)])];
-        let mut matrix = DMatrix::from_fn(width, width, at);
-        for i in 0..width {
-            matrix[(i, i)] += damping * matrix[(i, i)] + f64::MIN_POSITIVE;
-        }
-        matrix.cholesky().map(|cholesky| cholesky.solve(right))
+    pub fn normal(mut self) -> Normal {
+        self.normal.matrix.fill_lower_triangle_with_upper_triangle();
+        self.normal
     }
 }
 
@@ -116,7 +59,7 @@ pub(crate) trait LeastSquares {
     type State;
 
     /// `None` if the state is not valid.
-    fn linearize(&self, state: &Self::State) -> Option<NormalEquations>;
+    fn linearize(&self, state: &Self::State) -> Option<Normal>;
 
     fn moved(&self, state: &Self::State, step: &[f64]) -> Self::State;
 }
@@ -144,7 +87,7 @@ pub(crate) fn minimize<P: LeastSquares>(
     // Below it, residuals are rounding errors.
     let min_cost = f64::EPSILON * here.cost;
     for _ in 0..limits.steps {
-        let step = here.step(damping);
+        let step = here.damped_step(damping);
         // The predicted decrease of the cost.
         if step.as_ref().is_some_and(|step| step.dot(&here.right) < limits.min_gain * here.cost) {
             break;
