@@ -1,7 +1,7 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
-use crate::model::jacobian::{Derivative, link_derivatives};
-use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use crate::model::jacobian::link_derivatives;
+use crate::model::measurement::{ExcludedComponents, FLOOR_M, FLOOR_RAD};
 use crate::priors::LEVER_M;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::Linear;
@@ -35,13 +35,12 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
 fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<Vec<Vec3>> {
     let mut linear = Linear::new(12, &[FLOOR_M, FLOOR_RAD]);
-    let mask =
-        |[shift, turn]: Derivative| [shift, if has_rotation { turn } else { Vec3::zeros() }];
+    let excluded = ExcludedComponents { rotation: !has_rotation, ..Default::default() };
     for (row, fk) in aligned.fk_at_truth.iter().take(aligned.corrected.len()).enumerate() {
-        let mut rows = linear.push(&mask(aligned.residual(row, fk)));
+        let mut rows = linear.push(&excluded.mask(aligned.residual(row, fk)));
         let of_frame = |frame: Pose| link_derivatives(&frame, &fk.translation.vector);
         let derivatives = [Pose::identity(), *fk].into_iter().flat_map(of_frame);
-        derivatives.enumerate().for_each(|(column, own)| rows.set_all(column, mask(own)));
+        derivatives.enumerate().for_each(|(column, own)| rows.set_all(column, excluded.mask(own)));
     }
     let mut weights = linear.even_weights();
     weights[1].noise.sigma = 1.0 / LEVER_M;

@@ -116,7 +116,8 @@ impl Sums {
 
 impl<'a> ScoreTest<'a> {
     fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
-        let normal = columns.normal_equations(linear, weights);
+        let mut normal = linear.normal(weights);
+        columns.add_prior(&mut normal);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();
         let constant = &inverse * normal.right;
         let (causes, price) = (causes(columns), price(normal.independent));

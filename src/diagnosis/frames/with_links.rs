@@ -24,7 +24,8 @@ pub(crate) fn frames_with_links(
     }
     let columns = CauseColumns::new(found, stream);
     let (linear, first) = columns.constant_fit();
-    let mut normal = columns.normal_equations(&linear, &first.weights);
+    let mut normal = linear.normal(&first.weights);
+    columns.add_prior(&mut normal);
     for (frame, _) in Frame::BOTH.into_iter().zip(free).filter(|it| !it.1) {
         for (axis, column) in frame.columns().enumerate() {
             let prior = if axis < 3 { LINK_PRIOR_M } else { LINK_PRIOR_RAD };

@@ -4,8 +4,8 @@
 //! No arm is exactly its model. Tests of changes and compliance therefore include constant deviations of the links, with a
 //! prior.
 
-use crate::model::jacobian::{Derivative, link_derivatives};
-use crate::model::measurement::{FLOOR_M, FLOOR_RAD, stacked};
+use crate::model::jacobian::link_derivatives;
+use crate::model::measurement::{ExcludedComponents, FLOOR_M, FLOOR_RAD, stacked};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
@@ -89,7 +89,7 @@ pub(crate) struct CauseColumns<'a> {
     axes: Vec<Vec3>,
     /// Turn of the tool that equals one of the last joint.
     zero_as_tool: [f64; 6],
-    has_rotation: bool,
+    excluded: ExcludedComponents,
     /// The reference turns about it, in the base.
     pub centre: Vec3,
     /// Whether constant joint zeros are free; else their prior is that of link deviations.
@@ -113,7 +113,10 @@ impl<'a> CauseColumns<'a> {
             links: joints.saturating_sub(1),
             zero_as_tool: if has_joints { zero_as_tool(chain, &axes) } else { [0.0; 6] },
             axes,
-            has_rotation: diagnosis.encoding.is_ok(),
+            excluded: ExcludedComponents {
+                rotation: diagnosis.encoding.is_err(),
+                ..Default::default()
+            },
             centre,
             has_free_zeros: false,
         }
@@ -170,14 +173,8 @@ impl<'a> CauseColumns<'a> {
         CAUSES + 6 * self.links
     }
 
-    /// Normal equations of a linearisation, with the prior on the links.
-    pub fn normal_equations(&self, linear: &Linear, weights: &[Weight]) -> Normal {
-        let mut normal = linear.normal(weights);
-        self.add_prior(&mut normal);
-        normal
-    }
-
-    fn add_prior(&self, normal: &mut Normal) {
+    /// Adds the prior on the links to equations of a linearisation.
+    pub fn add_prior(&self, normal: &mut Normal) {
         let constant = self.constant();
         let mut own = normal.matrix.view_mut((0, 0), (constant, constant));
         own += self.prior();
@@ -224,9 +221,6 @@ impl<'a> CauseColumns<'a> {
     pub fn linearize(&self, variable: &[VariableColumns]) -> Linear {
         let width = self.constant() + variable.iter().map(VariableColumns::width).sum::<usize>();
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-        let mask = |[position, rotation]: Derivative| {
-            [position, if self.has_rotation { rotation } else { Vec3::zeros() }]
-        };
         let AlignedSamples { t_s, fk_at_truth, q_at_truth, .. } = &*self.aligned;
         let middle_s = self.aligned.middle_s();
         let half_span_s = t_s.last().map_or(0.0, |last| last - middle_s).max(f64::MIN_POSITIVE);
@@ -234,7 +228,7 @@ impl<'a> CauseColumns<'a> {
         let (dof, mut links) = (self.chain.dof(), Vec::new());
         for row in self.samples() {
             let fk = &fk_at_truth[row];
-            let mut rows = linear.push(&mask(self.aligned.residual(row, fk)));
+            let mut rows = linear.push(&self.excluded.mask(self.aligned.residual(row, fk)));
             let tip = fk.translation.vector;
             let late = self.aligned.velocity(row).map(|part| -part);
             let part = (t_s[row] - middle_s) / half_span_s;
@@ -247,7 +241,7 @@ impl<'a> CauseColumns<'a> {
             let constant = reference.into_iter().chain(tool).chain(others);
             let of_links = links.iter().take(self.links).flat_map(of_frame);
             for (column, derivative) in constant.chain(of_links).enumerate() {
-                rows.set_all(column, mask(derivative));
+                rows.set_all(column, self.excluded.mask(derivative));
             }
         }
         self.add_variable(&mut linear, variable);
