@@ -480,11 +480,9 @@ impl DeviationModel {
     /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
     /// probability of that size.
     fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
-        let log_likelihood = |(size_m, fit): (f64, DeviationFit)| {
-            (0.5 * (fit.evidence + Self::log_prior(size_m)), fit)
-        };
-        let mut fits: Vec<(f64, DeviationFit)> =
-            self.fits_with_equal_sizes(additional).map(log_likelihood).collect();
+        let fits = self.fits_with_equal_sizes(additional);
+        let fits = fits.map(|fit| (0.5 * (fit.evidence + Self::log_prior(fit.sizes_m[0])), fit));
+        let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
         let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
@@ -496,11 +494,9 @@ impl DeviationModel {
     fn fits_with_equal_sizes(
         &self,
         additional: &AdditionalCauses,
-    ) -> impl Iterator<Item = (f64, DeviationFit)> {
+    ) -> impl Iterator<Item = DeviationFit> {
         let sizes_m = deviation_grid_m(MAX_DEVIATION_M).chain([MAX_DEVIATION_M]);
-        sizes_m.filter_map(|size_m| {
-            Some((size_m, self.fit_with(additional, &self.uniform_sizes(size_m))?))
-        })
+        sizes_m.filter_map(|size_m| self.fit_with(additional, &self.uniform_sizes(size_m)))
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
@@ -559,8 +555,8 @@ impl DeviationModel {
     /// Started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
         let none = AdditionalCauses::default();
-        let fits = self.fits_with_equal_sizes(&none).map(|(_, fit)| fit);
-        let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
+        let best =
+            self.fits_with_equal_sizes(&none).max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
         self.maximize_likelihood(&none, &best.sizes_m)
     }
 
