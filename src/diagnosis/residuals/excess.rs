@@ -95,16 +95,11 @@ fn fold_correlation(
     offsets: &[f64],
 ) -> [Measured; 2] {
     let rows: Vec<usize> = observations.rows(MAX_SAMPLES).collect();
-    let folds: Vec<Linear> = rows
-        .chunks(rows.len().div_ceil(FOLDS).max(1))
-        .map(|rows| {
-            link_frames(
-                observations.at(stream, offsets),
-                rows.iter().copied(),
-                FreeAlongside::Nothing,
-            )
-        })
-        .collect();
+    let stream_at = observations.at(stream, offsets);
+    let linearized =
+        |rows: &[usize]| link_frames(stream_at, rows.iter().copied(), FreeAlongside::Nothing);
+    let folds: Vec<Linear> =
+        rows.chunks(rows.len().div_ceil(FOLDS).max(1)).map(linearized).collect();
     let normals: Vec<Normal> =
         folds.iter().map(|fold| fold.normal(&fold.first_weights())).collect();
     let predicted = |fold: usize| {

@@ -125,10 +125,9 @@ pub(crate) struct Timing {
 pub(crate) fn timing_beside_link_deviations(stream: StreamAt, has_skew: bool) -> Option<Timing> {
     let StreamAt { observations, state, .. } = stream;
     let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
-    let frames = link_frames(stream, observations.rows(MAX_SAMPLES), free);
-    let fit = LinkFrameChanges::fit_to(&frames, stream, LINK_PRIOR_M).fit;
+    let fit = LinkFrameChanges::fit_with(stream, free, LINK_PRIOR_M).fit;
     let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
-    let dof = (fit.normal.independent - frames.width as f64).max(1.0);
+    let dof = (fit.normal.independent - fit.step.len() as f64).max(1.0);
     let measured = |column: usize, before: f64| Measured {
         value: before + fit.step[column],
         std_error: covariance[(column, column)].sqrt(),
@@ -167,21 +166,19 @@ pub(crate) fn calibrated_residuals(
     most: usize,
 ) -> Vec<Vec<Vec3>> {
     let link_m = link_m.map_or(LINK_PRIOR_M, |link_m| link_m.max(LINK_PRIOR_M));
-    let linearized =
-        |most: usize| link_frames(stream, stream.observations.rows(most), FreeAlongside::Nothing);
-    let calibration = LinkFrameChanges::fit_to(&linearized(MAX_SAMPLES), stream, link_m);
-    linearized(most).residuals_after(calibration.fit.step.as_slice())
+    let fit = LinkFrameChanges::fit_with(stream, FreeAlongside::Nothing, link_m).fit;
+    let frames = link_frames(stream, stream.observations.rows(most), FreeAlongside::Nothing);
+    frames.residuals_after(fit.step.as_slice())
 }
 
 impl LinkFrameChanges {
     fn fit(stream: StreamAt) -> Self {
-        let rows = stream.observations.rows(MAX_SAMPLES);
-        let frames = link_frames(stream, rows, FreeAlongside::Nothing);
-        Self::fit_to(&frames, stream, LINK_PRIOR_M)
+        Self::fit_with(stream, FreeAlongside::Nothing, LINK_PRIOR_M)
     }
 
-    /// The same for the linearised `frames` of [`link_frames`], with link deviations of about `link_m`.
-    fn fit_to(frames: &Linear, stream: StreamAt, link_m: f64) -> Self {
+    /// With further parameters, and link deviations of about `link_m`.
+    fn fit_with(stream: StreamAt, with: FreeAlongside, link_m: f64) -> Self {
+        let frames = link_frames(stream, stream.observations.rows(MAX_SAMPLES), with);
         // Wide for those free without a calibration, such as an undeclared tool.
         let usual = |i: usize| match i % 6 {
             _ if is_free_parameter(i, stream) => FREE_PRIOR,
