@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use crate::compliance::apply_compliance;
 use crate::joints::correct_joints;
 use crate::{
-    EstimateResult, JointChange, JointDiagnosis, JointEncoding, JointOffset, JointScale,
-    NotObservable, ScalarChange,
+    EstimateResult, JointChange, JointDiagnosis, JointEncoding, JointOffset, JointParameter,
+    JointScale, NotObservable, ScalarChange,
 };
 use ground::stream::JointTrack;
 
@@ -30,7 +30,7 @@ impl JointDiagnosis {
 
     /// Changes of a joint's zero.
     pub fn zero_changes(&self, column: usize) -> Vec<&ScalarChange> {
-        self.changes_of(column, |change| change.zero.as_ref())
+        self.changes_of(column, JointParameter::Zero)
     }
 
     /// Encoding to report; the wrong one, if it is wrong in a part of the run only.
@@ -43,16 +43,12 @@ impl JointDiagnosis {
 
     /// Changes of a joint's scale.
     pub fn factor_changes(&self, column: usize) -> Vec<&ScalarChange> {
-        self.changes_of(column, |change| change.factor.as_ref())
+        self.changes_of(column, JointParameter::Factor)
     }
 
-    fn changes_of(
-        &self,
-        column: usize,
-        of: impl Fn(&JointChange) -> Option<&ScalarChange>,
-    ) -> Vec<&ScalarChange> {
-        let own = self.changes.iter().filter(|change| change.column == column);
-        own.filter_map(of).collect()
+    fn changes_of(&self, column: usize, parameter: JointParameter) -> Vec<&ScalarChange> {
+        let is_own = |it: &&JointChange| it.column == column && it.parameter == parameter;
+        self.changes.iter().filter(is_own).map(|it| &it.change).collect()
     }
 
     /// Removes eccentricity above the usual level, which no rule reports.

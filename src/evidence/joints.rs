@@ -145,9 +145,8 @@ fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
 pub(super) fn change_points(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
     let mut change_points = vec![Vec::new(); joints];
     for change in &found.changes {
-        let both = [&change.zero, &change.factor].into_iter().flatten();
         if let Some(own) = change_points.get_mut(change.column) {
-            own.extend(both.map(|change| change.at_s));
+            own.push(change.change.at_s);
         }
     }
     change_points

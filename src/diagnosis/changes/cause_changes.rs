@@ -11,7 +11,7 @@ use super::patches::with_poses;
 use super::profile::Profile;
 use super::score_test::{ChangeKind, likeliest_change};
 use super::split_run::SplitRun;
-use super::{FrameChange, JointChange, JointPatch, ScalarChange};
+use super::{FrameChange, JointChange, JointParameter, JointPatch, ScalarChange};
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_compliance};
@@ -21,7 +21,9 @@ use crate::priors::{
     FRAME_PRIOR_M, LEVER_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR,
     TOOL_PRIOR_M, ZERO_PRIOR, price,
 };
-use crate::residuals::cause_columns::{CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS, shared_equations};
+use crate::residuals::cause_columns::{
+    CauseColumns, Frame, RADIAL_SCALE, VariableColumns, ZEROS, shared_equations,
+};
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::likeliest;
 use crate::solver::linear::{Linear, Normal, SharedEquations, StreamEquations, Weight};
@@ -172,7 +174,10 @@ impl<'a> Stream<'a> {
         let of_amount = columns.len();
         let of_profile = (0..change.width() - of_amount).map(|parameter| {
             let variable = self.variable(&columns, |t_s| profile.derivatives(t_s)[parameter]);
-            (first + of_amount + parameter, VariableColumns { along: Some(half.clone()), ..variable })
+            (
+                first + of_amount + parameter,
+                VariableColumns { along: Some(half.clone()), ..variable },
+            )
         });
         let amount = (first, self.variable(&columns, |t_s| profile.factor(t_s)));
         std::iter::once(amount).chain(of_profile).collect()
@@ -770,8 +775,9 @@ impl Removal {
                 Subject::Zero { column } => {
                     let at_start =
                         after.joints.offsets.get(column).map_or(0.0, JointOffset::chosen);
-                    let zero = Some(report_value(change, at_start, size, &changes));
-                    after.joints.changes.push(JointChange { column, zero, factor: None });
+                    let change = report_value(change, at_start, size, &changes);
+                    let parameter = JointParameter::Zero;
+                    after.joints.changes.push(JointChange { column, parameter, change });
                     differs(&size)
                 }
             };
@@ -830,9 +836,8 @@ fn keep_encoding(before: &PoseDiagnosis, after: &mut PoseDiagnosis) {
 fn report_confounders(streams: &[PoseStream], after: &mut ArmDiagnosis) {
     let [stream] = streams else { return };
     let joints = &mut after.joints;
-    for JointChange { column, zero, .. } in &joints.changes {
-        let Some(zero) = zero else { continue };
-        let by = zero.size.value.abs();
+    for JointChange { column, change, .. } in &joints.changes {
+        let by = change.size.value.abs();
         let is_at = |end: Option<&usize>| end == Some(column);
         let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
         let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
@@ -1042,7 +1047,7 @@ mod tests {
             let [change] = found.changes.as_slice() else {
                 panic!("{link_m}: {:?}", found.changes)
             };
-            let zero = change.zero.as_ref().expect("a zero");
+            let zero = &change.change;
             let is_right = (zero.size.value.to_degrees() - 0.15).abs() < 0.01
                 && change.column == 2
                 && (zero.at_s - 11.0).abs() < 0.1;
@@ -1060,7 +1065,7 @@ mod tests {
             let [change] = found.joints.changes.as_slice() else {
                 panic!("{link_m}: {:?} {:?}", found.joints.changes, found.streams[0].tool_changes)
             };
-            let zero = change.zero.as_ref().expect("a zero");
+            let zero = &change.change;
             let is_right = change.column == 5
                 && (zero.size.value.to_degrees() - 0.7).abs() < 0.01
                 && (zero.from, zero.to) == (0.0, zero.size.value);
@@ -1081,7 +1086,7 @@ mod tests {
                 let [change] = found.changes.as_slice() else {
                     panic!("{link_m} {tau_s}: {:?}", found.changes)
                 };
-                let zero = change.zero.as_ref().expect("a zero");
+                let zero = &change.change;
                 let span_s = zero.at_s + zero.within_s;
                 let is_right = change.column == 3
                     && (zero.size.value.to_degrees() - 0.4 * settling(span_s, tau_s)).abs() < 0.02
@@ -1115,7 +1120,7 @@ mod tests {
             let found = diagnosed_zeros(link_m, step);
             let mut changes: Vec<(usize, f64)> = Vec::new();
             for change in &found.joints.changes {
-                let zero = change.zero.as_ref().expect("a zero");
+                let zero = &change.change;
                 changes.push((change.column, zero.size.value.to_degrees()));
             }
             changes.sort_by_key(|change| change.0);

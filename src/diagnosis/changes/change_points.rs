@@ -57,10 +57,19 @@ pub type ScalarChange = ChangePoint<f64, Measured>;
 pub struct JointChange {
     /// Joint's column.
     pub column: usize,
-    /// Offset in `q_true = factor · q_reported + offset`, rad or m.
-    pub zero: Option<ScalarChange>,
-    /// Factor in it.
-    pub factor: Option<ScalarChange>,
+    /// What changes.
+    pub parameter: JointParameter,
+    /// Its change.
+    pub change: ScalarChange,
+}
+
+/// Parameter of a joint in `q_true = factor · q_reported + offset`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointParameter {
+    /// The offset, rad or m.
+    Zero,
+    /// The factor.
+    Factor,
 }
 
 /// Correction of a joint in one segment to match the baseline segment. Applied in the order of the list.

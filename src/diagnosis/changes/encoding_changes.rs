@@ -11,14 +11,16 @@ use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest}
 use super::patches::with_poses;
 use super::profile::Profile;
 use super::split_run::{Span, SplitRun};
-use super::{EncodingSpans, JointChange, JointPatch, constant_frames_suffice};
+use super::{EncodingSpans, JointChange, JointParameter, JointPatch, constant_frames_suffice};
 use crate::arm_run::ArmRun;
 use crate::joints::follows_as_logged;
 use crate::latency::compensation::with_tracks;
 use crate::latency::correlation::stream_lag_s;
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
 use crate::selection::evidence::log_bayes_factor;
-use crate::{ArmDiagnosis, AxesError, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream};
+use crate::{
+    ArmDiagnosis, AxesError, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding, PoseStream,
+};
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, PoseTrack};
@@ -157,7 +159,8 @@ impl Segments {
     /// explained either, or the longest is not explained better than the run.
     fn diagnose(run: &SplitRun, spans: &[Span], residual_of_run_m: f64) -> Option<Self> {
         let longest = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
-        let diagnose = |span: Span| Segment { span, found: run.within(span, |part| part.diagnose()) };
+        let diagnose =
+            |span: Span| Segment { span, found: run.within(span, |part| part.diagnose()) };
         let longest = (spans.len() > 1).then(|| diagnose(spans[longest]))?;
         let residual = residual_m(&longest.found);
         let is_far = longest.found.streams.iter().all(PoseDiagnosis::is_far_from_fk);
@@ -285,7 +288,8 @@ impl Segments {
             let size = Measured { value: to - from, std_error, ..surest };
             let is_same = size.value.abs() < 4.0 * std_error + 1e-5;
             let factor = Profile::Step(*jump).change_point(from, to, size);
-            (!is_same).then_some(JointChange { column, zero: None, factor: Some(factor) })
+            let parameter = JointParameter::Factor;
+            (!is_same).then_some(JointChange { column, parameter, change: factor })
         };
         let all = self.all();
         let changes =

@@ -175,7 +175,7 @@ mod tests {
 
             let zero = diagnosed(none, none, rad).joints;
             let [change] = zero.changes.as_slice() else { panic!("{rad}: {:?}", zero.changes) };
-            let size = &change.zero.as_ref().expect("a zero").size;
+            let size = &change.change.size;
             assert_eq!(change.column, 3);
             assert!((size.value - rad).abs() < 1e-3, "{rad}: {size:?}");
         }

@@ -9,7 +9,7 @@ use crate::priors::{MODEL_ERROR_M, RAD_PER_M, price};
 use crate::residuals::comparison::residual_vectors;
 use crate::solver::noise::Noise;
 use crate::{
-    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointChange,
+    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate,
     JointCompliance, JointDiagnosis, PoseDiagnosis,
 };
 use ground::geometry::Vec3;
@@ -71,13 +71,10 @@ fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
 fn parameter_count(diagnosis: &ArmDiagnosis) -> usize {
     let JointDiagnosis { encoding, offsets, scales, changes, compliance, partial_encoding, .. } =
         &diagnosis.joints;
-    let of_change = |change: &JointChange| {
-        usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
-    };
     offsets.iter().filter(|offset| offset.is_chosen).count()
         + scales.len()
         + encoding.as_ref().map_or(0, |encoding| encoding.couplings.len())
-        + 2 * changes.iter().map(of_change).sum::<usize>()
+        + 2 * changes.len()
         + compliance.iter().map(JointCompliance::parameters).sum::<usize>()
         + usize::from(partial_encoding.is_some())
         + diagnosis.streams.iter().map(stream_parameter_count).sum::<usize>()
