@@ -71,7 +71,8 @@ impl BesideLinks {
         };
         let covariance = twist_at(&lever) * of_twist * twist_at(&lever).transpose();
         let dof = found.translation_m.dof;
-        let [m, rad] = twist_lengths(&twist_of(&found.pose), &covariance, dof);
+        let [m, rad] =
+            twist_lengths(&twist_of(&found.pose), &covariance, dof).map(|length| length.norm);
         let widen = |own: Measured, other: Measured| Measured {
             std_error: own.std_error.max(other.std_error),
             ..own

@@ -16,7 +16,7 @@ use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
 use crate::compliance::{apply_compliance, diagnose_with_compliance, has_unusual_compliance};
 use crate::latency::compensation::with_tracks;
-use crate::model::measurement::{pose_of_twist, twist_of};
+use crate::model::measurement::{pose_of_twist, twist_at, twist_lengths, twist_of};
 use crate::priors::{
     FRAME_PRIOR_M, LEVER_M, MODEL_ERROR_M, MODEL_ERROR_RAD, RAD_PER_M, RADIAL_SCALE_PRIOR,
     TOOL_PRIOR_M, ZERO_PRIOR, price,
@@ -32,9 +32,9 @@ use crate::{
     PoseDiagnosis, PoseStream,
 };
 use ground::geometry::{Pose, Rotation, Vec3};
-use ground::stats::{Measured, MeasuredLength};
+use ground::stats::Measured;
 use ground::stream::{PoseTrack, encoder_tick};
-use nalgebra::{DMatrix, DVector, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -72,6 +72,10 @@ impl Change {
     fn width(&self) -> usize {
         let has_amount = self.half.iter().any(|value| *value != 0.0);
         self.columns.len() + if has_amount { self.profile.derivatives(0.0).len() } else { 0 }
+    }
+
+    fn without_amount(&self) -> Self {
+        Self { half: DVector::zeros(self.half.len()), ..self.clone() }
     }
 
     /// Minus twice the logarithm of the prior probability of its amount: large opposite changes are improbable.
@@ -227,9 +231,9 @@ impl<'a> Stream<'a> {
                 Subject::Zero { .. } => {}
             }
         }
-        let [reference, tool] = twists.map(|twist| pose_of_twist(twist.as_slice()).inverse());
-        let about = Pose::from_parts(self.columns.centre.into(), Rotation::identity());
-        let mut pose = about * reference * about.inverse() * is * tool;
+        let [reference, tool] =
+            Frame::BOTH.map(|frame| self.columns.motion(frame, &twists[frame as usize]).inverse());
+        let mut pose = reference * is * tool;
         pose.translation.vector /= 1.0 + scale;
         pose
     }
@@ -278,7 +282,7 @@ impl<'a> Stream<'a> {
         (covariance, dof): (&DMatrix<f64>, f64),
         all: &[Change],
     ) -> FrameChange {
-        let mut of_twist = DMatrix::zeros(6, 6);
+        let mut of_twist = Matrix6::zeros();
         let first = change.columns.start - frame.columns().start;
         of_twist.view_mut((first, first), covariance.shape()).copy_from(&(covariance * 4.0));
         let is_step = change.profile.step().is_some();
@@ -287,15 +291,9 @@ impl<'a> Stream<'a> {
             _ => Vec3::zeros(),
         };
         // A rotation about the middle of the motion moves the origin.
-        let mut to_origin = DMatrix::identity(6, 6);
-        to_origin.view_mut((0, 3), (3, 3)).copy_from(&about.cross_matrix());
-        let of_twist = &to_origin * of_twist * to_origin.transpose();
-        let total = to_origin * change.twist(2.0);
-        let length = |first: usize| {
-            let own = of_twist.view((first, first), (3, 3)).into_owned();
-            MeasuredLength::estimate(&total.as_slice()[first..first + 3], &own, dof)
-        };
-        let (shift, turn) = (length(0), length(3));
+        let to_origin = twist_at(&-about);
+        let of_twist = to_origin * of_twist * to_origin.transpose();
+        let [shift, turn] = twist_lengths(&(to_origin * change.twist(2.0)).into(), &of_twist, dof);
         let (at_s, _) = change.profile.interval_s();
         let base = [&self.found.reference, &self.found.tool][frame as usize].as_ref().ok();
         let base = base.filter(|base| base.is_chosen).map_or_else(Pose::identity, |base| base.pose);
@@ -327,6 +325,9 @@ impl<'a> Stream<'a> {
     }
 }
 
+/// Of each kind of residuals of each stream.
+type Weights = Vec<Vec<Weight>>;
+
 /// Equations of several changes and the constant causes of all streams.
 struct Equations {
     shared: SharedEquations,
@@ -338,7 +339,7 @@ struct Equations {
 impl Equations {
     /// `streams` are without the changes so far. `noise` gives the weights of each stream's samples; without it, they are
     /// from the residuals.
-    fn new(streams: &[Stream], changes: &[Change], noise: Option<&[Vec<Weight>]>) -> Self {
+    fn new(streams: &[Stream], changes: &[Change], noise: Option<&Weights>) -> Self {
         let mut width = 0;
         let parameters = |change: &Change| {
             width += change.width();
@@ -509,12 +510,29 @@ impl Candidate {
         (!other.has_changes_of(self)).then(|| other.fitted(streams))
     }
 
-    fn score(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> f64 {
+    /// Weights of the residuals. Samples at a step do not count: their part of it is unknown.
+    fn weights(&self, steady: &[Stream], equations: Equations) -> Weights {
+        let of_stream = |(stream, equations): (&Stream, StreamEquations)| {
+            let mut weights = equations.weights;
+            let seen = stream.all_seen(&self.changes);
+            let steps: Vec<Jump> = seen.iter().filter_map(|change| change.profile.step()).collect();
+            for (sample, row) in stream.columns.samples().enumerate() {
+                let t_s = stream.columns.aligned.t_s[row];
+                if steps.iter().any(|step| (t_s - step.at_s).abs() <= step.within_s) {
+                    weights.iter_mut().for_each(|weight| weight.leave_out(sample));
+                }
+            }
+            weights
+        };
+        steady.iter().zip(equations.shared.streams).map(of_stream).collect()
+    }
+
+    fn score(&self, streams: &[Stream], noise: &Weights) -> f64 {
         Equations::new(&self.steady(streams), &self.changes, Some(noise)).score(&self.changes)
     }
 
     /// Without the change that is needed least, if that is likelier: later ones can explain the residual of an earlier one.
-    fn reduced(&self, streams: &[Stream], noise: &[Vec<Weight>]) -> Option<Self> {
+    fn reduced(&self, streams: &[Stream], noise: &Weights) -> Option<Self> {
         if self.changes.len() < 2 {
             return None;
         }
@@ -526,57 +544,35 @@ impl Candidate {
     }
 }
 
-/// A candidate with the weights of its residuals.
-struct Fitted {
-    candidate: Candidate,
-    weights: Vec<Vec<Weight>>,
-    /// Of all residuals, m. Angles are weighted by 0.3 m.
-    sigma_m: f64,
-}
-
-impl Fitted {
-    /// Samples at a step do not count: their part of it is unknown.
-    fn new(candidate: Candidate, steady: &[Stream], equations: &Equations) -> Self {
-        let mut sigma_m = 0.0;
-        let weights = |(stream, equations): (&Stream, &StreamEquations)| {
-            let steps =
-                candidate.changes.iter().filter_map(|change| stream.seen(change)?.profile.step());
-            let steps: Vec<Jump> = steps.collect();
-            let is_at = |t_s: f64| steps.iter().any(|it| (t_s - it.at_s).abs() <= it.within_s);
-            let mut weights = equations.weights.clone();
-            for (sample, row) in stream.columns.samples().enumerate() {
-                if is_at(stream.columns.aligned.t_s[row]) {
-                    weights.iter_mut().for_each(|weight| weight.leave_out(sample));
-                }
-            }
-            let [m, rad] = [0, 1].map(|kind: usize| weights[kind].noise.sigma);
-            sigma_m += m.hypot(LEVER_M * rad);
-            weights
-        };
-        let weights = steady.iter().zip(&equations.shared.streams).map(weights).collect();
-        Self { candidate, weights, sigma_m }
-    }
+/// Of all residuals, m. Angles are weighted by 0.3 m.
+fn sigma_m(weights: &Weights) -> f64 {
+    let of_stream = |own: &Vec<Weight>| own[0].noise.sigma.hypot(LEVER_M * own[1].noise.sigma);
+    weights.iter().map(of_stream).sum()
 }
 
 /// Adds the likeliest change until none is likely, and each number of changes to `found`. The search uses the noise within
 /// tenths of the run, because the residual still contains the other changes.
-fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &mut Vec<Fitted>) {
+fn search(
+    streams: &[Stream],
+    jumps: &RecordedJumps,
+    kind: ChangeKind,
+    found: &mut Vec<(Candidate, Weights)>,
+) {
     const MAX_CHANGES: usize = 4;
     let mut current = Candidate::new(Vec::new(), streams);
     loop {
         let steady = current.steady(streams);
         let equations = Equations::new(&steady, &current.changes, None);
-        if !found.iter().any(|it| it.candidate.has_changes_of(&current)) {
-            found.push(Fitted::new(current.clone(), &steady, &equations));
-        }
-        if current.changes.len() == MAX_CHANGES * streams.len() {
-            break;
-        }
         let next = |(stream, equations): (&Stream, &StreamEquations)| {
             stream.next_change(&current.changes, &equations.linear, kind)
         };
-        let next = steady.iter().zip(&equations.shared.streams).filter_map(next);
-        let Some((mut next, _)) = next.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        let can_grow = current.changes.len() < MAX_CHANGES * streams.len();
+        let pairs = steady.iter().zip(&equations.shared.streams).filter(|_| can_grow);
+        let next = pairs.filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
+        if !found.iter().any(|(known, _)| known.has_changes_of(&current)) {
+            found.push((current.clone(), current.weights(&steady, equations)));
+        }
+        let Some((mut next, _)) = next else { break };
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
         let is_last = |stream: &Stream| {
@@ -586,9 +582,8 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
             break;
         }
         current.changes.push(next);
-        let known = found.iter().find(|it| it.candidate.has_changes_of(&current));
-        current = match known {
-            Some(known) => known.candidate.clone(),
+        current = match found.iter().find(|(known, _)| known.has_changes_of(&current)) {
+            Some((known, _)) => known.clone(),
             None => current.fitted(streams),
         };
     }
@@ -597,17 +592,17 @@ fn search(streams: &[Stream], jumps: &RecordedJumps, kind: ChangeKind, found: &m
 /// Changes, and the run without them.
 struct Removal {
     changes: Vec<Change>,
-    patches: Vec<JointPatch>,
     /// Per stream, if it is affected.
     tracks: Vec<Option<PoseTrack>>,
     after: ArmDiagnosis,
 }
 
 /// `None` if the unexplained residual does not fall.
-fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: Vec<Change>) -> Option<Removal> {
+fn remove(run: &ArmRun, before: &ArmDiagnosis, changes: &[Change]) -> Option<Removal> {
+    let none = changes.iter().map(Change::without_amount).collect();
     let tracks = vec![None; run.streams.len()];
-    let removal = Removal::of_more(run, before, before, tracks, &changes, changes.clone())?;
-    Some(removal.refined(run, before))
+    let nothing = Removal { changes: none, tracks, after: before.clone() };
+    Some(nothing.with_more(run, before, changes)?.refined(run, before))
 }
 
 /// Value of a joint's zero or a radial scale relative to the start.
@@ -650,41 +645,46 @@ impl Removal {
         let mut joints = run.joints.clone();
         patches.iter().for_each(|patch| patch.apply(&mut joints));
         let streams = with_tracks(run.streams, &tracks);
-        let after = ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
-        Self { changes, patches, tracks, after }
+        let mut after =
+            ArmRun { joints: &joints, streams: &streams, ..*run }.diagnose_again(before);
+        after.joints.patches = patches;
+        Self { changes, tracks, after }
     }
 
-    /// Removes these `changes`, of which `more` are not yet removed from the `tracks` of the diagnosis `last`. `None` if a
-    /// stream no longer follows FK, or the unexplained residual does not fall.
-    fn of_more(
-        run: &ArmRun,
-        before: &ArmDiagnosis,
-        last: &ArmDiagnosis,
-        mut tracks: Vec<Option<PoseTrack>>,
-        more: &[Change],
-        changes: Vec<Change>,
-    ) -> Option<Self> {
-        let streams = Stream::all(run, last);
+    /// The changes, larger by `more`.
+    fn changes_with(&self, more: &[Change]) -> Vec<Change> {
+        let larger = |(change, more): (&Change, &Change)| Change {
+            half: &change.half + &more.half,
+            ..change.clone()
+        };
+        self.changes.iter().zip(more).map(larger).collect()
+    }
+
+    /// Also removes `more` of each change. `None` if a stream no longer follows FK, or the unexplained residual does not
+    /// fall.
+    fn with_more(&self, run: &ArmRun, before: &ArmDiagnosis, more: &[Change]) -> Option<Self> {
+        let streams = Stream::all(run, &self.after);
+        let mut tracks = self.tracks.clone();
         for stream in &streams {
             if more.iter().any(|change| change.subject.stream() == Some(stream.index)) {
                 tracks[stream.index] = Some(stream.steady_track(more));
             }
         }
-        let mut removal = Self::new(run, before, tracks, changes);
-        // Positions were divided by the radial scale in `last`: a tool that becomes longer looks like a scale.
-        for Change { subject, columns, half, .. } in &mut removal.changes {
+        let mut next = Self::new(run, before, tracks, self.changes_with(more));
+        // Positions were divided by the radial scale so far: a tool that becomes longer looks like a scale.
+        for Change { subject, columns, half, .. } in &mut next.changes {
             let Subject::Frame { stream, frame } = *subject else { continue };
-            let [from, to] = [last, &removal.after]
+            let [from, to] = [&self.after, &next.after]
                 .map(|it| 1.0 + it.streams[stream].frame_correction.radial_scale);
             let lengths = columns.clone().zip(half.iter_mut());
             let lengths = lengths.filter(|(column, _)| frame.translation().contains(column));
             lengths.for_each(|(_, half)| *half *= from / to);
         }
-        let after = Stream::all(run, &removal.after);
+        let after = Stream::all(run, &next.after);
         let [after_m, last_m] = [&after, &streams]
             .map(|all| all.iter().map(|stream| stream.columns.unexplained_m()).sum::<f64>());
         let explains_more = after.len() >= streams.len() && after_m < last_m;
-        explains_more.then_some(removal)
+        explains_more.then_some(next)
     }
 
     /// Refines the changes: the diagnosis without them shows the part that constant causes had absorbed.
@@ -697,19 +697,15 @@ impl Removal {
         };
         for _ in 0..MAX_ROUNDS {
             let steady = Stream::all(run, &self.after);
-            let mut more = Candidate::new(self.changes.clone(), &steady);
-            more.changes.iter_mut().for_each(|change| change.half.fill(0.0));
+            let none = self.changes.iter().map(Change::without_amount).collect();
+            let mut more = Candidate::new(none, &steady);
             more.step(&steady);
             let more = more.changes;
-            let mut changes = self.changes.clone();
-            changes.iter_mut().zip(&more).for_each(|(change, more)| change.half += &more.half);
             if norm(&more) < MIN_RELATIVE_STEP * norm(&self.changes) {
-                self.changes = changes;
+                self.changes = self.changes_with(&more);
                 break;
             }
-            let tracks = self.tracks.clone();
-            let next = Self::of_more(run, before, &self.after, tracks, &more, changes);
-            let Some(next) = next else { break };
+            let Some(next) = self.with_more(run, before, &more) else { break };
             self = next;
         }
         self
@@ -718,7 +714,7 @@ impl Removal {
     /// The diagnosis with the changes. `None` if one of them is not significant, or a residual remains that link deviations
     /// do not explain: unknown faults of joints can look like changes.
     fn reported(self, run: &ArmRun, before: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        let Self { changes, patches, mut after, .. } = self;
+        let Self { changes, mut after, .. } = self;
         let found = after.clone();
         let streams = Stream::all(run, &found);
         /// Share of the residual before, for changes under autocorrelated noise.
@@ -793,13 +789,12 @@ impl Removal {
             if is_own {
                 keep_encoding(&before.streams[s], stream);
             }
-            if is_own || !patches.is_empty() {
+            if is_own || !after.joints.patches.is_empty() {
                 restore_recorded(run.joints, &run.streams[s], stream);
             }
         }
         let is_reported = !after.joints.changes.is_empty()
             || after.streams.iter().any(PoseDiagnosis::has_changes);
-        after.joints.patches = patches;
         report_confounders(run.streams, &mut after);
         is_reported.then_some(after)
     }
@@ -854,9 +849,8 @@ pub(crate) fn diagnose_with_cause_changes(
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
     let changes = likeliest_changes(run, diagnosis)?;
-    let beside_compliance = diagnose_beside_compliance(run, diagnosis, changes.clone());
-    let alone = remove(run, diagnosis, changes).and_then(|it| it.reported(run, diagnosis));
-    likeliest(alone.into_iter().chain(beside_compliance))
+    let alone = remove(run, diagnosis, &changes).and_then(|it| it.reported(run, diagnosis));
+    likeliest(alone.into_iter().chain(diagnose_beside_compliance(run, diagnosis, changes)))
 }
 
 /// With joint compliance, which resembles changes of joint zeros. Removes the changes of frames and radial scales to
@@ -873,7 +867,7 @@ fn diagnose_beside_compliance(
         if of_streams.is_empty() {
             break;
         }
-        let Removal { tracks, after, .. } = remove(run, diagnosis, of_streams)?;
+        let Removal { tracks, after, .. } = remove(run, diagnosis, &of_streams)?;
         let streams = with_tracks(run.streams, &tracks);
         let steady = ArmRun { streams: &streams, ..*run };
         let with = diagnose_with_compliance(&steady, &after, has_unusual_compliance)?;
@@ -884,7 +878,7 @@ fn diagnose_beside_compliance(
         let constant = rigid.diagnose_again(diagnosis);
         changes = likeliest_changes(&rigid, &constant)?;
         if of_joints.is_empty() || round == ROUNDS {
-            let mut found = remove(&rigid, &constant, changes)?.reported(&rigid, &constant)?;
+            let mut found = remove(&rigid, &constant, &changes)?.reported(&rigid, &constant)?;
             found.joints.compliance = compliance;
             let streams = run.streams.iter().zip(&mut found.streams);
             streams.for_each(|(stream, found)| restore_recorded(run.joints, stream, found));
@@ -902,13 +896,13 @@ fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<Vec<Chang
     let jumps = RecordedJumps::new(run);
     let mut found = Vec::new();
     ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
-    found.retain(|it| !it.candidate.changes.iter().any(|change| jumps.is_rounding(change)));
+    found.retain(|(it, _)| !it.changes.iter().any(|change| jumps.is_rounding(change)));
     // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
     // white residual.
-    let smallest = found.iter().min_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))?;
-    let noise = smallest.weights.clone();
-    let candidates = found.into_iter().map(|it| it.candidate);
-    let scored = candidates.map(|candidate| (candidate.score(&streams, &noise), candidate));
+    let weights = found.iter().map(|(_, weights)| weights);
+    let noise = weights.min_by(|a, b| sigma_m(a).total_cmp(&sigma_m(b)))?.clone();
+    let scored =
+        found.into_iter().map(|(candidate, _)| (candidate.score(&streams, &noise), candidate));
     let (_, mut changed) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;

@@ -4,11 +4,11 @@
 //! selected, the chosen frames are estimated again, together with link deviations within their prior. Frames that are not
 //! chosen only deviate like links.
 
-use crate::model::measurement::{pose_of_twist, twist_at, twist_lengths, twist_of};
+use crate::model::measurement::{twist_at, twist_lengths, twist_of};
 use crate::priors::{LINK_PRIOR_M, LINK_PRIOR_RAD};
 use crate::residuals::cause_columns::{CauseColumns, Frame};
 use crate::{FrameEstimate, PoseDiagnosis, PoseStream};
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::Vec3;
 use ground::stats::joint_p_value;
 use nalgebra::{DMatrix, DVector};
 
@@ -36,24 +36,24 @@ pub(crate) fn frames_with_links(
     let step = &covariance * &normal.right;
     let dof = normal.dof(linear.width);
     let estimate = |(frame, is_free): (Frame, bool)| {
-        let centre = Pose::from_parts(columns.centre.into(), Default::default());
         let (before, about) = match frame {
-            Frame::Reference => (&found.reference, centre),
-            Frame::Tool => (&found.tool, Pose::identity()),
+            Frame::Reference => (&found.reference, columns.centre),
+            Frame::Tool => (&found.tool, Vec3::zeros()),
         };
         let before = before.as_ref().ok().filter(|_| is_free)?;
-        let moved = about * pose_of_twist(&step.as_slice()[frame.columns()]) * about.inverse();
+        let moved =
+            columns.motion(frame, &step.fixed_rows::<6>(frame.columns().start).into_owned());
         // The reported reference is the inverse of what maps base coordinates to the stream's.
         let pose = match frame {
             Frame::Reference => moved.inverse() * before.pose,
             Frame::Tool => moved * before.pose,
         };
-        let lever: Vec3 = pose.translation.vector - about.translation.vector;
+        let lever = pose.translation.vector - about;
         let first = frame.columns().start;
         let own = covariance.fixed_view::<6, 6>(first, first);
         let own = twist_at(&lever) * own * twist_at(&lever).transpose();
         let twist = twist_of(&pose);
-        let [translation_m, rotation_rad] = twist_lengths(&twist, &own, dof);
+        let [translation_m, rotation_rad] = twist_lengths(&twist, &own, dof).map(|it| it.norm);
         let own = DMatrix::from_column_slice(6, 6, own.as_slice());
         let p_value = joint_p_value(&DVector::from_column_slice(&twist), &own, dof);
         Some(FrameEstimate { pose, translation_m, rotation_rad, p_value, ..before.clone() })

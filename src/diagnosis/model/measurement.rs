@@ -10,7 +10,7 @@ use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stats::thin::thinned;
-use ground::stats::{Measured, MeasuredLength};
+use ground::stats::MeasuredLength;
 use ground::stream::{JointSequence, JointTrack};
 use nalgebra::{DVector, Matrix6, Translation3};
 
@@ -153,10 +153,10 @@ pub(crate) fn twist_lengths(
     twist: &[f64; 6],
     covariance: &Matrix6<f64>,
     dof: f64,
-) -> [Measured; 2] {
+) -> [MeasuredLength; 2] {
     [0, 3].map(|first| {
         let own = covariance.view((first, first), (3, 3)).into_owned();
-        MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
+        MeasuredLength::estimate(&twist[first..first + 3], &own, dof)
     })
 }
 

@@ -5,7 +5,9 @@
 //! prior.
 
 use crate::model::jacobian::link_derivatives;
-use crate::model::measurement::{ExcludedComponents, FLOOR_M, FLOOR_RAD, stacked};
+use crate::model::measurement::{
+    ExcludedComponents, FLOOR_M, FLOOR_RAD, pose_of_twist, stacked,
+};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;
@@ -15,7 +17,7 @@ use crate::solver::linear::{
 use crate::{AlignedSamples, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector6};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -125,6 +127,18 @@ impl<'a> CauseColumns<'a> {
     /// For tests of changes: constant joint zeros of any size are no changes.
     pub fn with_free_zeros(self) -> Self {
         Self { has_free_zeros: true, ..self }
+    }
+
+    /// Motion of a frame by a twist in its columns.
+    pub fn motion(&self, frame: Frame, twist: &Vector6<f64>) -> Pose {
+        let motion = pose_of_twist(twist.as_slice());
+        match frame {
+            Frame::Reference => {
+                let centre = Pose::from_parts(self.centre.into(), Rotation::identity());
+                centre * motion * centre.inverse()
+            }
+            Frame::Tool => motion,
+        }
     }
 
     /// First column of a joint zero's axis.
