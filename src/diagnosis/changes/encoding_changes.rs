@@ -6,8 +6,8 @@
 
 use std::cell::LazyCell;
 
-use super::cause_changes::diagnose_with_large_steps;
 use super::jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
+use super::large_steps::diagnose_with_large_steps;
 use super::patches::with_poses;
 use super::profile::Profile;
 use super::split_run::{Span, SplitRun};

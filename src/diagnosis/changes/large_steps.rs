@@ -1,28 +1,86 @@
 //! Steps of frames and joint zeros that turn a segment of the run so far that a linearisation at the other segments does not
 //! show them. The diagnoses of the segments alone do.
 
+use super::change::{Change, Subject};
+use super::changing_stream::Stream;
 use super::encoding_changes::{Segment, Segments};
 use super::jumps::{Jump, jumps_in_joints};
+use super::profile::Profile;
+use super::removal::Removal;
 use super::split_run::SplitRun;
+use crate::model::measurement::twist_of;
 use crate::residuals::cause_columns::Frame;
 use crate::{ArmDiagnosis, FrameCorrection, JointOffset};
-use ground::geometry::Pose;
+use ground::geometry::{Pose, Rotation};
 use ground::stream::PoseTrack;
+use nalgebra::DVector;
 
-/// [`super::cause_changes`] finds smaller steps. The tests measure steps on both sides of it.
+/// [`super::change_search`] finds smaller steps. The tests measure steps on both sides of it.
 const MIN_STEP_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// A step at a jump.
-pub(super) struct LargeStep {
-    pub jump: Jump,
-    pub size: StepSize,
+struct LargeStep {
+    jump: Jump,
+    size: StepSize,
 }
 
-pub(super) enum StepSize {
+enum StepSize {
     /// Of a stream: the logged poses are turned by the first before, and by the second after, from the left or the right.
     Frame(usize, Frame, [Pose; 2]),
     /// Of a column: offset to the zero before, rad.
     Zero(usize, f64),
+}
+
+/// Diagnoses the run without the large steps between its segments, and reports them. `None` without such steps.
+pub(super) fn diagnose_with_large_steps(
+    run: &SplitRun,
+    segments: &Segments,
+    jumps: &[Jump],
+) -> Option<ArmDiagnosis> {
+    let (steps, tracks) = large_steps(segments, jumps, run)?;
+    let before = &segments.longest.found;
+    let zeros = steps.iter().filter_map(|it| it.change(run, &[])).collect();
+    let removal = Removal::new(&run.arm, before, tracks, zeros);
+    let changes = {
+        let streams = Stream::all(&run.arm, &removal.after);
+        steps.iter().map(|it| it.change(run, &streams)).collect::<Option<_>>()?
+    };
+    let removal = Removal { changes, ..removal };
+    removal.refined(&run.arm, before).reported(&run.arm, before)
+}
+
+impl LargeStep {
+    /// `None` for a frame of a stream that is not in `streams`.
+    fn change(&self, run: &SplitRun, streams: &[Stream]) -> Option<Change> {
+        match self.size {
+            StepSize::Zero(column, by) => Some(Change {
+                subject: Subject::Zero { column },
+                columns: 0..1,
+                profile: Profile::Step(self.jump),
+                half: DVector::from_element(1, 0.5 * by),
+            }),
+            StepSize::Frame(index, frame, turns) => {
+                let stream = streams.iter().find(|it| it.index == index)?;
+                let FrameCorrection { reference, tool, .. } = &stream.found.frame_correction;
+                let about = Pose::from_parts(stream.columns.centre.into(), Rotation::identity());
+                let corrected = match frame {
+                    Frame::Reference => reference * about,
+                    Frame::Tool => tool.inverse(),
+                };
+                // Twists of one frame are added.
+                let [before, after] = turns.map(|turn| {
+                    DVector::from_row_slice(&twist_of(&(corrected.inverse() * turn * corrected)))
+                });
+                let half = (after - before) * 0.5;
+                Some(Change {
+                    subject: Subject::Frame { stream: index, frame },
+                    columns: frame.columns(),
+                    profile: Profile::Step(self.jump).later(run.lags[index]),
+                    half,
+                })
+            }
+        }
+    }
 }
 
 /// Frames of each stream, and the zero of each column, rad or m. If the positions do not jump, they hide no lost zero: then
@@ -56,7 +114,7 @@ fn frames_and_zeros(
 }
 
 /// Steps, and each stream's decoded poses without steps of its frames. `None` if no step is large.
-pub(super) fn large_steps(
+fn large_steps(
     segments: &Segments,
     jumps: &[Jump],
     run: &SplitRun,
@@ -99,9 +157,8 @@ pub(super) fn large_steps(
             }
         }
     }
-    let track = |s: usize| {
-        Some(segments.decoded_track(s, |at| turns[at][s].map(|turn| turn.inverse())))
-    };
+    let track =
+        |s: usize| Some(segments.decoded_track(s, |at| turns[at][s].map(|turn| turn.inverse())));
     (!steps.is_empty()).then(|| (steps, streams.map(track).collect()))
 }
 

@@ -1,18 +1,25 @@
 //! Changes within a run: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! Steps and gradual changes of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]).
+//! Steps and gradual changes of frames, joint zeros and radial scales are columns of the residual ([`cause_changes`]): they
+//! are searched ([`change_search`]), fitted ([`change_fit`]), removed ([`removal`]) and reported ([`change_report`]).
 //! Encodings are estimated for each part of the run, and all parts are encoded alike ([`encoding_changes`]). Steps of
 //! frames and zeros too large for a linearisation are differences between the diagnoses of the parts
 //! ([`large_steps`]).
 
 mod cause_changes;
+mod change;
+mod change_fit;
 mod change_points;
+mod change_report;
+mod change_search;
+mod changing_stream;
 mod constant_frames;
 mod encoding_changes;
 mod jumps;
 mod large_steps;
 mod patches;
 mod profile;
+mod removal;
 mod score_test;
 mod split_run;
 

@@ -5,7 +5,7 @@
 //! instability and structural change with unknown change point*, 1993), as do those of ramps and of changes that settle. A
 //! change must pay for its parameters, and for the times and the time constant of its profile.
 
-use super::cause_changes::Change;
+use super::change::Change;
 use super::jumps::Jump;
 use super::profile::{Profile, Shape};
 use crate::priors::price;

@@ -1,0 +1,162 @@
+//! Search for the likeliest changes.
+//!
+//! Several searches add one change after another, each among other kinds of changes. Their results compete by their
+//! likelihood, with the same weights for all of them. Changes that later ones make needless are removed.
+
+use super::change::{Change, Subject};
+use super::change_fit::{Candidate, Equations, Weights};
+use super::changing_stream::Stream;
+use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
+use super::profile::Profile;
+use super::score_test::{ChangeKind, likeliest_change};
+use crate::ArmDiagnosis;
+use crate::arm_run::ArmRun;
+use crate::priors::LEVER_M;
+use crate::residuals::comparison::has_slow_residual;
+use crate::solver::linear::{Linear, StreamEquations, Weight};
+use ground::stream::encoder_tick;
+
+/// `None` if no change is likely.
+pub(super) fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<Vec<Change>> {
+    let streams = Stream::all(run, diagnosis);
+    if !streams.iter().any(|stream| has_slow_residual(stream.found)) {
+        return None;
+    }
+    let jumps = RecordedJumps::new(run);
+    let mut found = Vec::new();
+    ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
+    found.retain(|(it, _)| !it.changes.iter().any(|change| jumps.is_rounding(change)));
+    // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
+    // white residual.
+    let weights = found.iter().map(|(_, weights)| weights);
+    let noise = weights.min_by(|a, b| sigma_m(a).total_cmp(&sigma_m(b)))?.clone();
+    let scored =
+        found.into_iter().map(|(candidate, _)| (candidate.score(&streams, &noise), candidate));
+    let (_, mut changed) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    while let Some(fewer) = changed.reduced(&streams, &noise) {
+        changed = fewer;
+    }
+    if let Some(other) = changed.with_tools(&streams)
+        && other.score(&streams, &noise) > changed.score(&streams, &noise)
+    {
+        changed = other;
+    }
+    (!changed.changes.is_empty()).then_some(changed.changes)
+}
+
+/// Adds the likeliest change until none is likely, and each number of changes to `found`. The search uses the noise within
+/// tenths of the run, because the residual still contains the other changes.
+fn search(
+    streams: &[Stream],
+    jumps: &RecordedJumps,
+    kind: ChangeKind,
+    found: &mut Vec<(Candidate, Weights)>,
+) {
+    const MAX_CHANGES: usize = 4;
+    let mut current = Candidate::new(Vec::new(), streams);
+    loop {
+        let steady = current.steady(streams);
+        let equations = Equations::new(&steady, &current.changes, None);
+        let next = |(stream, equations): (&Stream, &StreamEquations)| {
+            stream.next_change(&current.changes, &equations.linear, kind)
+        };
+        let can_grow = current.changes.len() < MAX_CHANGES * streams.len();
+        let pairs = steady.iter().zip(&equations.shared.streams).filter(|_| can_grow);
+        let next = pairs.filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
+        if !found.iter().any(|(known, _)| known.has_changes_of(&current)) {
+            found.push((current.clone(), current.weights(&steady, equations)));
+        }
+        let Some((mut next, _)) = next else { break };
+        let is_recorded = jumps.date(&mut next);
+        // The joint states show a lost zero, and not a turn of the tool.
+        let is_last = |stream: &Stream| {
+            stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
+        };
+        if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
+            break;
+        }
+        current.changes.push(next);
+        current = match found.iter().find(|(known, _)| known.has_changes_of(&current)) {
+            Some((known, _)) => known.clone(),
+            None => current.fitted(streams),
+        };
+    }
+}
+
+/// Of all residuals, m. Angles are weighted by 0.3 m.
+fn sigma_m(weights: &Weights) -> f64 {
+    let of_stream = |own: &Vec<Weight>| own[0].noise.sigma.hypot(LEVER_M * own[1].noise.sigma);
+    weights.iter().map(of_stream).sum()
+}
+
+impl Stream<'_> {
+    /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
+    /// the latency, is likelier.
+    fn next_change(
+        &self,
+        changes: &[Change],
+        linear: &Linear,
+        kind: ChangeKind,
+    ) -> Option<(Change, f64)> {
+        if !has_slow_residual(self.found) {
+            return None;
+        }
+        let seen = self.all_seen(changes);
+        let likeliest =
+            |weights: &[Weight]| likeliest_change(&self.columns, &seen, (linear, weights), kind);
+        let (mut profile, mut columns, mut score) = likeliest(&self.columns.local_weights(linear))?;
+        if kind.with_drifts {
+            // The residual after this change has the weights that resolve its shape.
+            let beside =
+                self.columns.linearize(&[self.variable(&columns, |t_s| profile.factor(t_s))]);
+            (profile, columns, score) = likeliest(&self.columns.local_weights(&beside))?;
+        }
+        Some((self.change(profile, columns)?, score))
+    }
+}
+
+/// Jumps of the recorded numbers, of the joint states and of each stream.
+struct RecordedJumps {
+    of_joints: Vec<Jump>,
+    of_streams: Vec<Vec<Jump>>,
+    /// Tick of each joint's encoder; 0 if it is too small to show.
+    ticks: Vec<f64>,
+}
+
+impl RecordedJumps {
+    fn new(run: &ArmRun) -> Self {
+        /// Of numbers with seven digits.
+        const ROUNDING_RAD: f64 = 1e-6;
+        let joints = run.joints;
+        let tick = |column: usize| {
+            let q = |row: usize| joints.row(row)[column];
+            let distance = |a: usize, b: usize| (q(a) - q(b)).abs();
+            encoder_tick(joints.len(), distance, ROUNDING_RAD).unwrap_or(0.0)
+        };
+        let of_stream = |stream| jumps_in_logged_path(run.joints, stream);
+        Self {
+            of_joints: jumps_in_joints(run.joints),
+            of_streams: run.streams.iter().map(of_stream).collect(),
+            ticks: (0..run.joints.dof).map(tick).collect(),
+        }
+    }
+
+    /// Whether a change is rounding: positions at rest keep their error, which differs by up to a tick.
+    fn is_rounding(&self, change: &Change) -> bool {
+        matches!(change.subject, Subject::Zero { column } if 2.0 * change.half[0].abs() < self.ticks[column])
+    }
+
+    /// Dates a step by the jump in its interval. If it is dated late, a few samples keep its whole error. Whether there is a jump.
+    fn date(&self, Change { subject, profile, .. }: &mut Change) -> bool {
+        let Profile::Step(step) = profile else { return false };
+        let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
+        let is_within =
+            |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
+        let strongest =
+            jumps.iter().filter(is_within).max_by(|a, b| a.strength.total_cmp(&b.strength));
+        if let Some(&Jump { at_s, within_s, .. }) = strongest {
+            *step = Jump { at_s, within_s, ..*step };
+        }
+        strongest.is_some()
+    }
+}
