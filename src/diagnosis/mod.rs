@@ -24,9 +24,9 @@
 //!    rotations.
 //! 4. `arm::fit` fits each stream alone from several starts (`frames`), then all together from the best.
 //!    `selection::model_selection` selects causes, unless none are as likely. `selection::tool_preference` replaces
-//!    a moved reference by a tool if both fit, `selection::link_deviations` a frame by a likelier joint zero.
+//!    a moved reference by a tool if both fit, `selection::causes_beside_links` a frame by a likelier joint zero.
 //!    Joint zeros are preferred to mirrored axes, an inverse or another rotation convention that explain no more.
-//! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
+//! 5. `selection::nominal_model` and `selection::causes_beside_links` drop causes that random link deviations
 //!    explain.
 //!    `selection::held_out` drops causes that do not predict held-out samples better.
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,

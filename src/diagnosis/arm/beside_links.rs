@@ -3,7 +3,7 @@
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::model::measurement::{State, twist_at, twist_lengths, twist_of};
-use crate::selection::link_deviations::{ErrorsBesideLinks, errors_beside_links};
+use crate::selection::causes_beside_links::{ErrorsBesideLinks, errors_beside_links};
 use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
 use ground::geometry::Vec3;

@@ -10,9 +10,8 @@ use crate::model::measurement::{
 };
 use crate::priors::ZERO_PRIOR;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
-use crate::selection::link_deviations::{
-    LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations, zero_instead_of_frame,
-};
+use crate::selection::causes_beside_links::{causes_beyond_link_deviations, zero_instead_of_frame};
+use crate::selection::link_deviations::{LinkDeviations, estimate_link_deviations};
 use crate::selection::model_selection::{
     CandidateCauses, Cause, MAX_NOISE_INFLATION, SelectedModel, or_without_causes, parameter_count,
     select_from_starts, select_model,

@@ -11,7 +11,7 @@ use super::{
 use crate::Measured;
 use crate::model::measurement::StreamState;
 use crate::samples::sampling::value_range;
-use crate::selection::link_deviations::MIN_DEVIATION_M;
+use crate::selection::deviation_model::DEVIATION_GRID_M;
 use crate::solver::linear::Normal;
 use ground::geometry::Vec3;
 use ground::robot::{LinkPath, Robot};
@@ -57,7 +57,7 @@ pub fn calibrate_arm(
     let mut linearized = system.start(&mut state).ok_or(CalibrationFailure::TooFewSamples)?;
     let before = system.nominal_residuals(&linearized, &state);
     let distances_before = system.distances_m(&state);
-    let ([mut link_m, mut max_link_m], mut unsettled) = ([MIN_DEVIATION_M; 2], None);
+    let ([mut link_m, mut max_link_m], mut unsettled) = ([DEVIATION_GRID_M.0; 2], None);
     for round in 0..MAX_ITERATIONS {
         let normal = system.normal(&linearized, &state);
         [link_m, max_link_m] = system.link_sizes_m(&normal, &state);

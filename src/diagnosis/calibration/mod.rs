@@ -1,7 +1,7 @@
 //! Kinematic calibration: estimates the deviation of each link from the nominal model.
 //!
 //! Deviations have a prior N(0, s²), with 0.1° per mm; s maximises the marginal likelihood, as for the
-//! zeros in [`crate::selection::link_deviations`]. Gauss–Newton from the nominal model maximises the posterior,
+//! zeros in [`crate::selection::deviation_model`]. Gauss–Newton from the nominal model maximises the posterior,
 //! with weights for outliers and autocorrelation and sandwich covariances (White 1980). A point of the tool that
 //! stays at an unknown place (a ball in a socket) is a stream of positions in a frame with a free origin. Reference:
 //! Hollerbach, Khalil, Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
@@ -19,7 +19,7 @@ pub use self::fit::calibrate_arm;
 pub use self::fixed_point::FixedPoint;
 use crate::Measured;
 use crate::priors::LINK_PRIOR_M;
-use crate::selection::link_deviations::{DEVIATION_RATIO, MAX_DEVIATION_M};
+use crate::selection::deviation_model::DEVIATION_GRID_M;
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
@@ -27,7 +27,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Bound of the deviations' standard deviation, m. Four times that of an audit: zeros that are not free parameters, of
 /// arms without a factory calibration, count as deviations as well.
-const MAX_LINK_SIZE_M: f64 = 4.0 * MAX_DEVIATION_M;
+const MAX_LINK_SIZE_M: f64 = 4.0 * DEVIATION_GRID_M.1;
 
 /// Pose stream to calibrate from.
 #[derive(Clone, Debug)]
@@ -222,7 +222,7 @@ impl ArmCalibration {
 
     /// Whether the standard deviation of the deviations is the largest one tried, so a larger one may be likelier.
     pub fn is_link_size_at_bound(&self) -> bool {
-        self.link_m * DEVIATION_RATIO >= MAX_LINK_SIZE_M
+        self.link_m * DEVIATION_GRID_M.2 >= MAX_LINK_SIZE_M
     }
 
     /// Value with standard error.

@@ -3,7 +3,7 @@
 use super::parameters::CalibrationParameters;
 use super::{CalibrationStream, FrameFreedom, MAX_LINK_SIZE_M, PointDistance};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, pose_of_twist};
-use crate::selection::link_deviations::{MIN_DEVIATION_M, deviation_grid_m};
+use crate::selection::deviation_model::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal, Weight};
 use ground::geometry::{Pose, Vec3};
@@ -245,10 +245,14 @@ impl CalibrationSystem<'_> {
             total.dot(&cholesky.solve(&total)) - cholesky.ln_determinant()
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
-        let sizes_m = deviation_grid_m(MAX_LINK_SIZE_M);
-        let tried: Vec<(f64, f64)> = sizes_m.map(|link_m| (link_m, evidence(link_m))).collect();
+        let (min_m, _, times) = DEVIATION_GRID_M;
+        let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
+        let tried: Vec<(f64, f64)> = tried
+            .take_while(|link_m| *link_m < MAX_LINK_SIZE_M)
+            .map(|link_m| (link_m, evidence(link_m)))
+            .collect();
         let best = tried.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1));
-        let (best_m, highest) = best.unwrap_or((MIN_DEVIATION_M, 0.0));
+        let (best_m, highest) = best.unwrap_or((min_m, 0.0));
         let likely = tried.iter().filter(|(_, evidence)| highest - evidence <= MAX_LOG_RATIO);
         [best_m, likely.fold(best_m, |largest_m, (link_m, _)| largest_m.max(*link_m))]
     }

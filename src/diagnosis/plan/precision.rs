@@ -7,7 +7,7 @@ use crate::calibration::workspace::{TipSensitivity, random_configurations, tip_d
 use crate::hand_eye;
 use crate::imu;
 use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, ZERO_PRIOR};
-use crate::selection::link_deviations;
+use crate::selection::deviation_model::MAX_DEVIATION_SAMPLES;
 use crate::solver::linear::Linear;
 use crate::solver::robust::sandwich;
 use ground::geometry::Vec3;
@@ -232,10 +232,9 @@ impl<'a> LinearizedMotion<'a> {
         // Latency and frames are free.
         let beside = [self.latency()].into_iter().chain(self.frames());
         match self.purpose {
-            Purpose::Zeros if self.sensing.link_m > 0.0 => (
-                self.zeros_with_links_query(0..joints, self.link()),
-                link_deviations::MAX_DEVIATION_SAMPLES,
-            ),
+            Purpose::Zeros if self.sensing.link_m > 0.0 => {
+                (self.zeros_with_links_query(0..joints, self.link()), MAX_DEVIATION_SAMPLES)
+            }
             Purpose::Zeros => {
                 let zeros = (0..joints).map(|joint| self.zero(joint));
                 (Self::flat_query(zeros.chain(beside), joints), FIT_SAMPLES)
