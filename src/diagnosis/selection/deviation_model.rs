@@ -75,9 +75,9 @@ impl AdditionalCauses {
     }
 }
 
-/// Ascending grid up to `max_size_m`.
-pub(super) fn sizes_m(max_size_m: f64) -> impl Iterator<Item = f64> {
-    let (min_size_m, _, times) = DEVIATION_GRID_M;
+/// Ascending grid.
+pub(super) fn sizes_m() -> impl Iterator<Item = f64> {
+    let (min_size_m, max_size_m, times) = DEVIATION_GRID_M;
     let tried = std::iter::successors(Some(min_size_m), move |size_m| Some(size_m * times));
     tried.take_while(move |size_m| *size_m < max_size_m).chain([max_size_m])
 }
@@ -251,7 +251,7 @@ impl DeviationModel {
     /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
     /// probability of that size.
     pub fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
-        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(|size_m| {
+        let fits = sizes_m().filter_map(|size_m| {
             let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
             Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
         });

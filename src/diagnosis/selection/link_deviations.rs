@@ -4,7 +4,7 @@
 //! of the nominal model.
 
 use super::deviation_model::{
-    AdditionalCauses, DEVIATION_GRID_M, DeviationFit, DeviationModel, DeviationParameter, sizes_m,
+    AdditionalCauses, DeviationFit, DeviationModel, DeviationParameter, sizes_m,
 };
 use crate::model::measurement::{PoseObservations, StreamAt};
 use crate::priors::{
@@ -84,7 +84,7 @@ impl DeviationModel {
     fn without_zeros(&self) -> Option<DeviationFit> {
         let none = AdditionalCauses::default();
         let fit = |link_m| self.fit_with(&none, &self.uniform_sizes(link_m));
-        let fits = sizes_m(DEVIATION_GRID_M.1).filter_map(fit);
+        let fits = sizes_m().filter_map(fit);
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
         self.maximize_likelihood(&none, &best.sizes_m)
     }
