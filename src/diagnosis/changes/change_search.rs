@@ -150,10 +150,8 @@ impl RecordedJumps {
     fn date(&self, Change { subject, profile, .. }: &mut Change) -> bool {
         let Profile::Step(step) = profile else { return false };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
-        let is_within =
-            |jump: &&Jump| (jump.at_s - step.at_s).abs() <= step.within_s + jump.within_s;
-        let strongest =
-            jumps.iter().filter(is_within).max_by(|a, b| a.strength.total_cmp(&b.strength));
+        let within = jumps.iter().filter(|jump| jump.overlaps(step));
+        let strongest = within.max_by(|a, b| a.strength.total_cmp(&b.strength));
         if let Some(&Jump { at_s, within_s, .. }) = strongest {
             *step = Jump { at_s, within_s, ..*step };
         }

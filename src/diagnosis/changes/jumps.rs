@@ -26,6 +26,12 @@ pub(super) struct Jump {
     pub strength: f64,
 }
 
+impl Jump {
+    pub fn overlaps(&self, other: &Self) -> bool {
+        (self.at_s - other.at_s).abs() <= self.within_s + other.within_s
+    }
+}
+
 /// Steps of the logged poses that exceed the mean of the adjacent ones, without FK.
 pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> Vec<Jump> {
     /// Numerical floor.

@@ -18,17 +18,13 @@ use nalgebra::DVector;
 /// [`super::change_search`] finds smaller steps. The tests measure steps on both sides of it.
 const MIN_STEP_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// A step at a jump.
-struct LargeStep {
+/// A step of a stream's frame at a jump.
+struct FrameStep {
     jump: Jump,
-    size: StepSize,
-}
-
-enum StepSize {
-    /// Of a stream: the logged poses are turned by the first before, and by the second after, from the left or the right.
-    Frame(usize, Frame, [Pose; 2]),
-    /// Of a column: offset to the zero before, rad.
-    Zero(usize, f64),
+    stream: usize,
+    frame: Frame,
+    /// Turns of the logged poses before and after, from the left for the reference, from the right for the tool.
+    turns: [Pose; 2],
 }
 
 /// Diagnoses the run without the large steps between its segments, and reports them. `None` without such steps.
@@ -37,49 +33,39 @@ pub(super) fn diagnose_with_large_steps(
     segments: &Segments,
     jumps: &[Jump],
 ) -> Option<ArmDiagnosis> {
-    let (steps, tracks) = large_steps(segments, jumps, run)?;
+    let (frames, zeros, tracks) = large_steps(segments, jumps, run)?;
     let before = &segments.longest.found;
-    let zeros = steps.iter().filter_map(|it| it.change(run, &[])).collect();
-    let removal = Removal::new(&run.arm, before, tracks, zeros);
-    let changes = {
+    let mut removal = Removal::new(&run.arm, before, tracks, zeros);
+    let frames: Vec<Change> = {
         let streams = Stream::all(&run.arm, &removal.after);
-        steps.iter().map(|it| it.change(run, &streams)).collect::<Option<_>>()?
+        frames.iter().map(|step| step.change(run, &streams)).collect::<Option<_>>()?
     };
-    let removal = Removal { changes, ..removal };
+    removal.changes.splice(0..0, frames);
     removal.refined(&run.arm, before).reported(&run.arm, before)
 }
 
-impl LargeStep {
-    /// `None` for a frame of a stream that is not in `streams`.
+impl FrameStep {
+    /// `None` if its stream is not in `streams`.
     fn change(&self, run: &SplitRun, streams: &[Stream]) -> Option<Change> {
-        match self.size {
-            StepSize::Zero(column, by) => Some(Change {
-                subject: Subject::Zero { column },
-                columns: 0..1,
-                profile: Profile::Step(self.jump),
-                half: DVector::from_element(1, 0.5 * by),
-            }),
-            StepSize::Frame(index, frame, turns) => {
-                let stream = streams.iter().find(|it| it.index == index)?;
-                let FrameCorrection { reference, tool, .. } = &stream.found.frame_correction;
-                let about = Pose::from_parts(stream.columns.centre.into(), Rotation::identity());
-                let corrected = match frame {
-                    Frame::Reference => reference * about,
-                    Frame::Tool => tool.inverse(),
-                };
-                // Twists of one frame are added.
-                let [before, after] = turns.map(|turn| {
-                    DVector::from_row_slice(&twist_of(&(corrected.inverse() * turn * corrected)))
-                });
-                let half = (after - before) * 0.5;
-                Some(Change {
-                    subject: Subject::Frame { stream: index, frame },
-                    columns: frame.columns(),
-                    profile: Profile::Step(self.jump).later(run.lags[index]),
-                    half,
-                })
+        let Self { jump, stream: index, frame, turns } = *self;
+        let stream = streams.iter().find(|it| it.index == index)?;
+        let FrameCorrection { reference, tool, .. } = &stream.found.frame_correction;
+        let corrected = match frame {
+            Frame::Reference => {
+                reference * Pose::from_parts(stream.columns.centre.into(), Rotation::identity())
             }
-        }
+            Frame::Tool => tool.inverse(),
+        };
+        // Twists of one frame are added.
+        let [before, after] = turns.map(|turn| {
+            DVector::from_row_slice(&twist_of(&(corrected.inverse() * turn * corrected)))
+        });
+        Some(Change {
+            subject: Subject::Frame { stream: index, frame },
+            columns: frame.columns(),
+            profile: Profile::Step(jump).later(run.lags[index]),
+            half: (after - before) * 0.5,
+        })
     }
 }
 
@@ -113,23 +99,21 @@ fn frames_and_zeros(
     (frames, zeros)
 }
 
-/// Steps, and each stream's decoded poses without steps of its frames. `None` if no step is large.
+/// Steps of frames, changes of joint zeros, and each stream's decoded poses without the steps of its frames. `None` if no
+/// step is large.
 fn large_steps(
     segments: &Segments,
     jumps: &[Jump],
     run: &SplitRun,
-) -> Option<(Vec<LargeStep>, Vec<Option<PoseTrack>>)> {
+) -> Option<(Vec<FrameStep>, Vec<Change>, Vec<Option<PoseTrack>>)> {
     let of_joints = jumps_in_joints(run.arm.joints);
-    let is_in_joints = |at: &Jump| {
-        of_joints.iter().any(|own| (own.at_s - at.at_s).abs() <= own.within_s + at.within_s)
-    };
     let streams = 0..run.arm.streams.len();
-    let mut steps = Vec::new();
+    let (mut frame_steps, mut zero_changes) = (Vec::new(), Vec::new());
     // Per segment and stream, from the left and the right.
     let mut turns = vec![vec![[Pose::identity(); 2]; streams.len()]];
     for (at, pair) in segments.all().windows(2).enumerate() {
         let jump = *jumps.iter().find(|jump| jump.at_s == pair[1].span.0)?;
-        let do_positions_jump = is_in_joints(&jump);
+        let do_positions_jump = of_joints.iter().any(|own| own.overlaps(&jump));
         let causes = |segment| frames_and_zeros(run, segment, do_positions_jump);
         let ((frames, zeros), (frames_after, zeros_after)) = (causes(pair[0]), causes(pair[1]));
         let mut turned = turns[at].clone();
@@ -144,8 +128,8 @@ fn large_steps(
                         Frame::Reference => by * before,
                         Frame::Tool => before * by,
                     };
-                    let size = StepSize::Frame(s, frame, [before, *turn]);
-                    steps.push(LargeStep { jump, size });
+                    let turns = [before, *turn];
+                    frame_steps.push(FrameStep { jump, stream: s, frame, turns });
                 }
             }
         }
@@ -153,13 +137,19 @@ fn large_steps(
         for (column, (before, after)) in zeros.iter().zip(&zeros_after).enumerate() {
             let by = after - before;
             if !run.arm.is_prismatic[column] && by.abs() > MIN_STEP_RAD {
-                steps.push(LargeStep { jump, size: StepSize::Zero(column, by) });
+                zero_changes.push(Change {
+                    subject: Subject::Zero { column },
+                    columns: 0..1,
+                    profile: Profile::Step(jump),
+                    half: DVector::from_element(1, 0.5 * by),
+                });
             }
         }
     }
     let track =
         |s: usize| Some(segments.decoded_track(s, |at| turns[at][s].map(|turn| turn.inverse())));
-    (!steps.is_empty()).then(|| (steps, streams.map(track).collect()))
+    let is_any = !frame_steps.is_empty() || !zero_changes.is_empty();
+    is_any.then(|| (frame_steps, zero_changes, streams.map(track).collect()))
 }
 
 #[cfg(test)]
