@@ -20,7 +20,7 @@ use crate::priors::{
 };
 use crate::solver::linear::Normal;
 use ground::geometry::{Rotation, Vec3};
-use ground::robot::{JointKind, turn_z_to};
+use ground::robot::turn_z_to;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Minimum, maximum, ratio.
@@ -322,46 +322,39 @@ impl DeviationModel {
 /// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
 /// zero.
 fn parameters(stream: StreamAt) -> (DMatrix<f64>, Vec<DeviationParameter>) {
-    let observations = stream.observations;
+    let StreamAt { observations, .. } = stream;
     let joints = observations.columns.len();
     let latency = 6 * (joints + 1);
-    let unit = |is_rotation: bool| if is_rotation { RAD_PER_M } else { 1.0 };
-    let mut columns: Vec<DVector<f64>> = Vec::new();
-    let mut of = Vec::new();
-    let radial_scale = latency + 1 + joints;
+    let width = latency + joints + 2;
     let axes = observations.chain.joint_axes();
-    let kinds = observations.chain.joint_kinds();
+    let is_rotary = |joint: usize| !observations.chain.slides(joint);
+    let deviation = |group: usize, is_rotation: bool| {
+        let unit = if is_rotation { RAD_PER_M } else { 1.0 };
+        DeviationParameter::Deviation { group, unit }
+    };
+    let (mut columns, mut kinds) = (Vec::new(), Vec::new());
     for link in 0..=joints {
         let is_free = is_free_parameter(6 * link, stream);
         let joint = link.checked_sub(1).filter(|_| !is_free);
         let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
         for (axis, is_rotation) in (0..6).map(|i| (i % 3, i >= 3)) {
-            let is_zero = |joint: usize| is_rotation != (kinds[joint] == JointKind::Prismatic);
-            if axis == 2 && joint.is_some_and(is_zero) {
+            if axis == 2 && joint.is_some_and(|joint| is_rotary(joint) == is_rotation) {
                 continue;
             }
             let first = 6 * link + if is_rotation { 3 } else { 0 };
-            let mut column = DVector::zeros(radial_scale + 1);
+            let mut column = DVector::zeros(width);
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
-            of.push(match is_free {
+            kinds.push(match is_free {
                 true => DeviationParameter::Unconstrained,
-                false => DeviationParameter::Deviation { group: link, unit: unit(is_rotation) },
+                false => deviation(link, is_rotation),
             });
         }
     }
-    for own in latency..=radial_scale {
-        let mut column = DVector::zeros(radial_scale + 1);
-        column[own] = 1.0;
-        columns.push(column);
-        of.push(match own.checked_sub(latency + 1) {
-            None => DeviationParameter::Unconstrained,
-            Some(joint) if joint == joints => DeviationParameter::RadialScale,
-            Some(joint) => {
-                let is_rotation = kinds[joint] != JointKind::Prismatic;
-                DeviationParameter::Deviation { group: joints + 1, unit: unit(is_rotation) }
-            }
-        });
-    }
-    (DMatrix::from_columns(&columns), of)
+    let identity = DMatrix::<f64>::identity(width, width);
+    columns.extend(identity.column_iter().skip(latency).map(|column| column.into_owned()));
+    kinds.push(DeviationParameter::Unconstrained);
+    kinds.extend((0..joints).map(|joint| deviation(joints + 1, is_rotary(joint))));
+    kinds.push(DeviationParameter::RadialScale);
+    (DMatrix::from_columns(&columns), kinds)
 }
