@@ -162,8 +162,7 @@ pub(super) fn attribute_residual(
         true => 0.0,
         false => MAX_NOISE_RATIO,
     };
-    let in_degrees =
-        arm.diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.degrees.is_some());
+    let in_degrees = arm.diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.is_in_degrees);
     if is_tf(arm, stream)
         && in_degrees
         && is_degrees_artifact(explained, outcomes, stream, thresholds)

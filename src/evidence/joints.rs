@@ -58,11 +58,11 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointStateCor
     let offset: Vec<f64> = (0..found.offsets.len()).map(coded_zero).collect();
     let mut mending =
         JointStateCorrection { offset, ..JointStateCorrection::identity(arm.joint_names.len()) };
-    if let Some((really, _)) = &reading.permutation {
+    if let Some(really) = &reading.permutation {
         really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
     }
     for (factor, slides) in mending.factor.iter_mut().zip(arm.are_prismatic()) {
-        *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
+        *factor = if reading.is_in_degrees && !slides { 1f64.to_radians() } else { 1.0 };
     }
     reading.unit_errors.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
     Some(mending)

@@ -47,8 +47,12 @@ fn judge(arm: &ArmEvidence) -> SubjectResult {
     let subject = arm.topic(&arm.joints_topic);
     match arm.diagnosis.reported_encoding() {
         Err(why) => SubjectResult::new(subject, not_observable(why, "also log a pose that does not come from /tf")),
-        Ok(JointEncoding { permutation: None, .. }) => SubjectResult::new(subject, Outcome::pass()),
-        Ok(JointEncoding { permutation: Some((order, error)), runner_up_m, .. }) => {
+        Ok(JointEncoding {
+            permutation: Some(order),
+            residual: Some(error),
+            runner_up_m,
+            ..
+        }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
             let is: Vec<String> =
                 order.iter().filter_map(|&joint| names.get(joint).cloned()).collect();
@@ -84,6 +88,7 @@ fn judge(arm: &ArmEvidence) -> SubjectResult {
                 .with_evidence("corrected_m", error.corrected)
                 .with_evidence("runner_up_m", *runner_up_m)
         }
+        Ok(_) => SubjectResult::new(subject, Outcome::pass()),
     }
     .within(arm.span)
 }

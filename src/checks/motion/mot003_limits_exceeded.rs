@@ -62,7 +62,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 /// Reason why joint states cannot be compared with limits or used as motion.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
     let why = match &arm.diagnosis.encoding {
-        Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
+        Ok(reading) if reading.is_in_degrees || reading.permutation.is_some() => {
             "joint names or units are wrong; correct them first (ORD004, ORD005)"
         }
         Err(NotObservable::NotExcited) => {

@@ -96,7 +96,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn misread(arm: &ArmEvidence) -> Option<&'static str> {
     let joints = arm.diagnosis.encoding.as_ref().ok()?;
     match joints {
-        joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
+        joints if joints.is_in_degrees => Some("units are wrong (ORD004)"),
         joints if joints.permutation.is_some() => Some("names are mixed up (ORD005)"),
         joints if !joints.is_as_logged() => {
             Some("units or scales are wrong (ORD004, ORD008, ORD009)")

@@ -62,7 +62,10 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
             });
             let alone: Vec<SubjectResult> = alone.collect();
             match alone.is_empty() {
-                true => vec![judge(arm, topic, reading.degrees, Unit::Metre, AssumedUnit::Logged)],
+                true => {
+                    let residuals = reading.residual.filter(|_| reading.is_in_degrees);
+                    vec![judge(arm, topic, residuals, Unit::Metre, AssumedUnit::Logged)]
+                }
                 false => alone,
             }
         }

@@ -267,9 +267,8 @@ impl Segments {
         let encoding = |segment: &'_ Segment| segment.found.joints.encoding.clone().ok();
         let all = self.all();
         let known = all.iter().filter_map(|segment| Some((segment.span, encoding(segment)?)));
-        let (wrong, right): (Vec<_>, Vec<_>) = known.partition(|(_, encoding)| {
-            encoding.degrees.is_some() || encoding.permutation.is_some()
-        });
+        let (wrong, right): (Vec<_>, Vec<_>) = known
+            .partition(|(_, encoding)| encoding.is_in_degrees || encoding.permutation.is_some());
         let (_, encoding) = wrong.first().filter(|_| !right.is_empty())?;
         let ends = wrong.iter().map(|(span, _)| *span);
         let span = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
@@ -340,7 +339,7 @@ impl Segment {
 fn joint_order(diagnosis: &JointDiagnosis, dof: usize) -> Vec<usize> {
     let permutation =
         diagnosis.encoding.as_ref().ok().and_then(|encoding| encoding.permutation.as_ref());
-    permutation.map_or_else(|| (0..dof).collect(), |(order, _)| order.clone())
+    permutation.cloned().unwrap_or_else(|| (0..dof).collect())
 }
 
 /// Exchanges of two columns, one after another, that put the joints of `other` into the order of `own`.

@@ -30,17 +30,17 @@ impl JointOffset {
 /// Encoding of the joint states; as logged by default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointEncoding {
-    /// All revolute joints in degrees.
-    pub degrees: Option<UnitResiduals>,
+    /// Whether all revolute joints are in degrees.
+    pub is_in_degrees: bool,
     /// Actual order: entry `i` is the joint logged under the name of joint `i`.
-    pub permutation: Option<(Vec<usize>, UnitResiduals)>,
+    pub permutation: Option<Vec<usize>>,
     /// Joints with individual unit or scale.
     pub unit_errors: Vec<JointUnitError>,
     /// Applied after the slips.
     pub couplings: Vec<JointCoupling>,
     /// Approximate zeros to add per joint, rad or m; may be empty.
     pub zeros: Vec<f64>,
-    /// Position residuals, m, if not as logged.
+    /// Position residuals, m, if the search did not accept the joint states as logged.
     pub residual: Option<UnitResiduals>,
     /// Residual of the next best encoding.
     pub runner_up_m: Option<f64>,
@@ -56,7 +56,7 @@ impl JointEncoding {
 
     /// Apart from zeros.
     pub fn is_as_logged(&self) -> bool {
-        self.degrees.is_none()
+        !self.is_in_degrees
             && self.permutation.is_none()
             && self.unit_errors.is_empty()
             && self.couplings.is_empty()
@@ -67,18 +67,22 @@ impl JointEncoding {
         /// Usual gear ratios are larger.
         const MAX_SCALE_ERROR: f64 = 0.1;
         let is_far = |error: &JointUnitError| (error.factor - 1.0).abs() > MAX_SCALE_ERROR;
-        self.degrees.is_some() || self.permutation.is_some() || self.unit_errors.iter().any(is_far)
+        self.is_in_degrees || self.permutation.is_some() || self.unit_errors.iter().any(is_far)
     }
 
     /// Same units, order and couplings, whatever the amounts.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         let parts = |encoding: &Self| {
-            let order = encoding.permutation.as_ref().map(|(order, _)| order.clone());
             let units = encoding.unit_errors.iter().map(|error| (error.column, error.unit));
             let couplings =
                 encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by));
-            let degrees = encoding.degrees.is_some();
-            (degrees, order, units.collect::<Vec<_>>(), couplings.collect::<Vec<_>>())
+            let order = encoding.permutation.clone();
+            (
+                encoding.is_in_degrees,
+                order,
+                units.collect::<Vec<_>>(),
+                couplings.collect::<Vec<_>>(),
+            )
         };
         parts(self) == parts(other)
     }

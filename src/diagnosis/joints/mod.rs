@@ -345,7 +345,6 @@ fn to_encoding(
 ) -> JointEncoding {
     let PoseStream { chain, columns, .. } = *stream;
     let map = &found.map;
-    let unit_residuals = UnitResiduals { as_logged, corrected: found.residual.m };
     let degree = 1f64.to_radians();
     /// Relative.
     const SCALE_PRECISION: f64 = 1e-3;
@@ -383,12 +382,12 @@ fn to_encoding(
         permutation[columns[from]] = columns[joint];
     }
     JointEncoding {
-        degrees: all_in_degrees.then_some(unit_residuals),
-        permutation: (!is_in_order).then_some((permutation, unit_residuals)),
+        is_in_degrees: all_in_degrees,
+        permutation: (!is_in_order).then_some(permutation),
         unit_errors: unit_errors.collect(),
         couplings: map.coupling.map(in_track).into_iter().collect(),
         zeros,
-        residual: Some(unit_residuals),
+        residual: Some(UnitResiduals { as_logged, corrected: found.residual.m }),
         runner_up_m: found.runner_up_m,
     }
 }
@@ -417,12 +416,14 @@ fn encoding_at_rest(
         distance < MAX_REST_DISTANCE_SHARE * samples.chain.max_reach_m()
             && distance * MIN_RESIDUAL_RATIO < other
     };
-    let degrees = match reference_known {
-        true if is_plausible(as_logged, corrected) => None,
-        true if is_plausible(corrected, as_logged) => Some(UnitResiduals { as_logged, corrected }),
-        _ => return Err(NotObservable::AtRest),
-    };
-    Ok(JointEncoding { degrees, ..JointEncoding::default() })
+    match reference_known {
+        true if is_plausible(as_logged, corrected) => Ok(JointEncoding::default()),
+        true if is_plausible(corrected, as_logged) => {
+            let residual = Some(UnitResiduals { as_logged, corrected });
+            Ok(JointEncoding { is_in_degrees: true, residual, ..JointEncoding::default() })
+        }
+        _ => Err(NotObservable::AtRest),
+    }
 }
 
 /// Names, units and couplings, but not the zeros.
@@ -432,13 +433,13 @@ pub(super) fn correct_joints(
     prismatic: &[bool],
 ) -> JointTrack {
     let mut track = joints.clone();
-    if encoding.degrees.is_some() {
+    if encoding.is_in_degrees {
         track.convert_from_degrees(prismatic);
     }
     let mut named = vec![0.0; joints.dof];
     for values in [&mut track.q, &mut track.qd] {
         for row in values.chunks_exact_mut(joints.dof.max(1)) {
-            if let Some((permutation, _)) = &encoding.permutation {
+            if let Some(permutation) = &encoding.permutation {
                 named.copy_from_slice(row);
                 permutation.iter().zip(&named).for_each(|(&really, value)| row[really] = *value);
             }

@@ -234,7 +234,7 @@ fn a_joint_reversed_among_degrees_is_multiplied_by_minus_one() {
     }
     let found = diagnose_arm(&logged, &[test_motion::tip_stream(&track, &chain)], 1.0);
     let encoding = found.joints.encoding.expect("an encoding");
-    assert!(encoding.degrees.is_some());
+    assert!(encoding.is_in_degrees);
     let [reversed] = encoding.unit_errors.as_slice() else { panic!("{:?}", encoding.unit_errors) };
     assert_eq!(reversed.column, REVERSED);
     assert!((reversed.factor + 1.0).abs() < 1e-3, "{reversed:?}");

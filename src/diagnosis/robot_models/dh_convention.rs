@@ -75,7 +75,7 @@ impl DhResidual {
 /// Number of faults in a diagnosis.
 pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
     let of_joints = diagnosis.joints.encoding.as_ref().map_or(0, |encoding| {
-        usize::from(encoding.degrees.is_some()) + usize::from(encoding.permutation.is_some())
+        usize::from(encoding.is_in_degrees) + usize::from(encoding.permutation.is_some())
     });
     let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.is_chosen).count();
     let of_stream = |stream: &PoseDiagnosis| {
