@@ -13,10 +13,7 @@ use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::encodings::rotation::MAX_RESIDUAL_RAD as MAX_ROTATION_RESIDUAL_RAD;
-use crate::joints::{
-    CorrectedJoints, LikelyEncoding, ResidualSize, estimate_joint_encoding, follows_arm,
-    has_change_within_run, likely_encodings, other_encoding,
-};
+use crate::joints::{CorrectedJoints, JointComparison, LikelyEncoding, ResidualSize};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
 use crate::model::measurement::{FLOOR_M, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
 use crate::priors::LEVER_M;
@@ -253,14 +250,29 @@ impl<'a> EncodingSearch<'a> {
     }
 
     fn has_change(&self) -> bool {
-        let EncodedRun { joints, streams, .. } = self.logged;
-        let by_motion = || has_change_within_run(joints, streams, &self.metres, self.max_lag_s);
+        let by_motion = || {
+            let comparison = self.most_informative(&self.metres);
+            comparison.is_some_and(|comparison| comparison.has_change_within_run())
+        };
         *self.has_change.get_or_init(by_motion)
+    }
+
+    /// Comparison with the stream of the most joints and samples.
+    fn most_informative(&self, metres: &[f64]) -> Option<JointComparison<'a>> {
+        let streams = self.logged.streams;
+        let size = |&index: &usize| (streams[index].columns.len(), streams[index].track.t_s.len());
+        let index = (0..streams.len()).max_by_key(size)?;
+        Some(self.comparison_with(index, metres[index]))
+    }
+
+    fn comparison_with(&self, index: usize, metres: f64) -> JointComparison<'a> {
+        let EncodedRun { joints, streams, .. } = self.logged;
+        JointComparison { joints, stream: &streams[index], metres, max_lag_s: self.max_lag_s }
     }
 
     /// Encoding by the motion. Sets the unit of each stream's positions.
     fn estimate(&mut self) -> EstimateResult<JointEncoding> {
-        let EncodedRun { joints, corrected, streams, position_encodings, .. } = &self.logged;
+        let EncodedRun { corrected, streams, position_encodings, .. } = &self.logged;
         let is_confirmed = |(stream, encoding): (&PoseStream, &PositionEncodingEstimate)| {
             encoding.needs_correction()
                 && decode_stream(corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
@@ -269,8 +281,9 @@ impl<'a> EncodingSearch<'a> {
             // The joint states need no other encoding.
             return Ok(JointEncoding::default());
         }
+        let no_pose = NotObservable::RestsOn("a pose of the tool");
         let estimate =
-            |metres: &[f64]| estimate_joint_encoding(joints, streams, metres, self.max_lag_s);
+            |metres: &[f64]| self.most_informative(metres).ok_or(no_pose.clone())?.encoding();
         let encoding = estimate(&self.metres);
         if encoding.is_ok() {
             return encoding;
@@ -294,8 +307,9 @@ impl<'a> EncodingSearch<'a> {
         if before_m <= FLOOR_M || self.has_change() {
             return None;
         }
-        let EncodedRun { joints, streams, .. } = self.logged;
-        let all = likely_encodings(joints, streams, &self.metres, self.max_lag_s);
+        let streams = self.logged.streams;
+        let longest = (0..streams.len()).max_by_key(|&index| streams[index].track.t_s.len())?;
+        let all = self.comparison_with(longest, self.metres[longest]).likely_encodings();
         let explains = |LikelyEncoding { encoding, by_range }: LikelyEncoding| {
             let by_likely = self.diagnose_as(encoding);
             let after_m = by_likely.total_residual_m();
@@ -323,9 +337,9 @@ impl<'a> EncodingSearch<'a> {
             }
             Err(why) => matches!(why, NotObservable::DoesNotFollow(_)),
         };
-        let lags_s = (lag_s, self.max_lag_s);
+        let comparison = self.comparison_with(index, self.metres[index]);
         let by_residual = match self.has_change() {
-            false => other_encoding(joints, stream, self.metres[index], lags_s, residual),
+            false => comparison.other_encoding(lag_s, residual),
             true => None,
         };
         let last = stream.columns.last().filter(|_| is_unread);
@@ -646,7 +660,8 @@ pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -
     let is_positioned = as_rotations(&stream.track.orientation).is_some() || {
         let position_encoding = PositionEncodingEstimate::from_speeds(joints, stream, &arm, peaks);
         position_encoding.needs_correction()
-            || follows_arm(joints, stream, position_encoding.metres(), peak.lag_s)
+            || JointComparison { joints, stream, metres: position_encoding.metres(), max_lag_s }
+                .follows_arm(peak.lag_s)
     };
     Some(if is_positioned { peak } else { LagPeak { correlation: 0.0, ..peak } })
 }
@@ -660,8 +675,8 @@ pub fn follows_with_other_encoding(
     let mut metres = vec![metres_by_size(joints, stream), metres_by_reach(stream)];
     metres.dedup();
     metres.into_iter().any(|metres| {
-        estimate_joint_encoding(joints, &[*stream], &[metres], max_lag_s)
-            .is_ok_and(|encoding| !encoding.is_as_logged())
+        let comparison = JointComparison { joints, stream, metres, max_lag_s };
+        comparison.encoding().is_ok_and(|encoding| !encoding.is_as_logged())
     })
 }
 

@@ -1,5 +1,6 @@
-use super::encoding::{JointCoupling, JointEncoding, JointUnit, is_coded};
-use super::{correct_joints, with_zeros};
+//! Joint states decoded in an encoding.
+
+use super::encoding::{JointCoupling, JointEncoding, JointUnit, JointUnitError, is_coded};
 use crate::samples::sampling::rest_speeds;
 use ground::stream::JointTrack;
 
@@ -68,4 +69,40 @@ impl CorrectedJoints {
     pub fn approximate_track(&self) -> &JointTrack {
         self.approximate_track.as_ref().unwrap_or(&self.track)
     }
+}
+
+/// Names, units and couplings, but not the zeros.
+pub(crate) fn correct_joints(
+    joints: &JointTrack,
+    encoding: &JointEncoding,
+    prismatic: &[bool],
+) -> JointTrack {
+    let mut track = joints.clone();
+    if encoding.is_in_degrees {
+        track.convert_from_degrees(prismatic);
+    }
+    let mut named = vec![0.0; joints.dof];
+    for values in [&mut track.q, &mut track.qd] {
+        for row in values.chunks_exact_mut(joints.dof.max(1)) {
+            if let Some(permutation) = &encoding.permutation {
+                named.copy_from_slice(row);
+                permutation.iter().zip(&named).for_each(|(&really, value)| row[really] = *value);
+            }
+            for JointUnitError { column, factor, .. } in &encoding.unit_errors {
+                row[*column] *= factor;
+            }
+            for JointCoupling { column, by, factor } in &encoding.couplings {
+                row[*column] += factor.value * row[*by];
+            }
+        }
+    }
+    track
+}
+
+fn with_zeros(track: &JointTrack, zeros: &[f64]) -> JointTrack {
+    let mut moved = track.clone();
+    for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
+        row.iter_mut().zip(zeros).for_each(|(q, zero)| *q += zero);
+    }
+    moved
 }

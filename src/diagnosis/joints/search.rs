@@ -2,6 +2,7 @@
 //! the simplest first: another unit, reversed joints or one joint misinterpreted; another order;
 //! combinations of two. The best proposals of a kind are refined.
 
+use super::interpretation::JointInterpretation;
 use super::interpreted_poses::{
     ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize, distances,
 };
@@ -48,13 +49,6 @@ const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_SUBSET_JOINTS: usize = 10;
 /// For a scale that is not round.
 const ODD_SCALE_PRICE: f64 = 0.5;
-
-pub(super) struct JointInterpretation {
-    pub map: JointMap,
-    pub residual: ResidualSize,
-    /// Next best residual at no higher price.
-    pub runner_up_m: Option<f64>,
-}
 
 pub(super) enum SearchOutcome {
     /// Clearly best.

@@ -1,7 +1,7 @@
 //! Slow samples used to determine the encoding of the joints.
 
+use super::comparison::JointComparison;
 use super::interpreted_poses::InterpretedPoses;
-use crate::PoseStream;
 use crate::latency::correlation::combined_speed;
 use crate::samples::sampling::{as_rotations, range_of};
 use ground::stats::mean;
@@ -15,32 +15,31 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(|joint| square(joint).sqrt().max(1e-4)).collect()
 }
 
-/// Spread over the run, see [`slow_rows`].
-pub(super) fn slow_simultaneous_samples<'a>(
-    joints: &JointTrack,
-    stream: &PoseStream<'a>,
-    scale: f64,
-    lag_s: f64,
-) -> InterpretedPoses<'a> {
-    let track = stream.track;
-    let mut sequence = joints.sequence();
-    let rms = rms_speeds(joints);
-    let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
-    for (k, t_s) in track.t_s.iter().enumerate() {
-        if let Some((q, qd)) = sequence.at(t_s - lag_s) {
-            let speed = combined_speed(qd, &rms);
-            covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
+impl<'a> JointComparison<'a> {
+    /// Spread over the run, see [`slow_rows`].
+    pub(super) fn samples(&self, lag_s: f64) -> InterpretedPoses<'a> {
+        let Self { joints, stream, metres, .. } = *self;
+        let track = stream.track;
+        let mut sequence = joints.sequence();
+        let rms = rms_speeds(joints);
+        let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
+        for (k, t_s) in track.t_s.iter().enumerate() {
+            if let Some((q, qd)) = sequence.at(t_s - lag_s) {
+                let speed = combined_speed(qd, &rms);
+                covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
+            }
         }
+        let speeds: Vec<f64> = covered.iter().map(|(_, speed, _)| *speed).collect();
+        let slow = slow_rows(&speeds);
+        let rows = || slow.iter().map(|&at| covered[at].0);
+        let xyz = rows().map(|row| track.xyz[row] * metres).collect();
+        let rotation =
+            as_rotations(&track.orientation).map(|all| rows().map(|row| all[row]).collect());
+        let q = slow.iter().flat_map(|&at| &covered[at].2).copied().collect();
+        let span = |&column: &usize| range_of(joints.positions_of(column));
+        let spans = stream.columns.iter().map(span).collect();
+        InterpretedPoses::new(stream.chain, xyz, rotation, q, spans)
     }
-    let speeds: Vec<f64> = covered.iter().map(|(_, speed, _)| *speed).collect();
-    let slow = slow_rows(&speeds);
-    let rows = || slow.iter().map(|&at| covered[at].0);
-    let xyz = rows().map(|row| track.xyz[row] * scale).collect();
-    let rotation = as_rotations(&track.orientation).map(|all| rows().map(|row| all[row]).collect());
-    let q = slow.iter().flat_map(|&at| &covered[at].2).copied().collect();
-    let span = |&column: &usize| range_of(joints.positions_of(column));
-    let spans = stream.columns.iter().map(span).collect();
-    InterpretedPoses::new(stream.chain, xyz, rotation, q, spans)
 }
 
 /// Rows of slow samples, ascending. The run is divided into stretches, equally by time and by path, so an arm that

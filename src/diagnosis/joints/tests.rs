@@ -1,8 +1,9 @@
-use super::half_follows_as_logged;
+use super::comparison::JointComparison;
+use super::estimate::half_follows_as_logged;
 use super::interpreted_poses::{FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
-use super::slow_samples::{JOINT_ENCODING_SAMPLES, slow_simultaneous_samples};
+use super::slow_samples::JOINT_ENCODING_SAMPLES;
 use crate::frames::position_fit::spread;
 use crate::samples::sampling::range_of;
 use crate::test_random::Lcg;
@@ -217,7 +218,9 @@ fn samples_of_an_arm_that_dwells_show_other_places() {
     };
     let track = tip_track(&joints, &chain);
     let stream = test_motion::tip_stream(&track, &chain);
-    let samples = slow_simultaneous_samples(&joints, &stream, 1.0, 0.0);
+    let comparison =
+        JointComparison { joints: &joints, stream: &stream, metres: 1.0, max_lag_s: 0.0 };
+    let samples = comparison.samples(0.0);
     assert!(samples.xyz.len() >= JOINT_ENCODING_SAMPLES / 2, "{} samples", samples.xyz.len());
     assert!(spread(&samples.xyz) > 0.2 * spread(&track.xyz), "{} m", spread(&samples.xyz));
 }
