@@ -482,7 +482,7 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
 #[cfg(test)]
 mod tests {
     use super::{Cause, fit, with_timings};
-    use crate::arm::EncodedRun;
+    use crate::arm::encoded_run::EncodedRun;
     use crate::encodings::decoded_stream::decode_stream;
     use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;

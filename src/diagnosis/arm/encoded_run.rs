@@ -1,0 +1,141 @@
+//! A run whose joint states are in a given encoding, and its diagnosis.
+
+use super::are_floating;
+use super::beside_links::BesideLinks;
+use super::encoding_result::EncodingResult;
+use super::fit::{fit, with_timings};
+use super::stream::{StreamFit, no_diagnosis};
+use super::zeros::{joint_gains, joint_offsets, unobservable_offsets};
+use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
+use crate::encodings::position::PositionEncodingEstimate;
+use crate::joints::CorrectedJoints;
+use crate::model::measurement::PoseObservations;
+use crate::selection::held_out::HeldOut;
+use crate::{EstimateResult, JointEncoding, NotObservable, PoseDiagnosis, PoseStream};
+use ground::robot::JointKind;
+use ground::stream::JointTrack;
+
+/// Joint states in an encoding, and the encodings of the streams' positions that they show.
+pub(super) struct EncodedRun<'a> {
+    pub joints: &'a JointTrack,
+    encoding: JointEncoding,
+    pub corrected: CorrectedJoints,
+    pub streams: &'a [PoseStream<'a>],
+    pub position_encodings: Vec<PositionEncodingEstimate>,
+}
+
+impl<'a> EncodedRun<'a> {
+    /// `are_derived`: whether the streams are computed from the joint states.
+    pub fn new(
+        joints: &'a JointTrack,
+        streams: &'a [PoseStream<'a>],
+        max_lag_s: f64,
+        encoding: JointEncoding,
+        are_derived: bool,
+    ) -> Self {
+        let mut is_prismatic = vec![false; joints.dof];
+        for stream in streams {
+            for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
+                is_prismatic[column] = *kind == JointKind::Prismatic;
+            }
+        }
+        let corrected = CorrectedJoints::new(joints, &encoding, is_prismatic);
+        let corrected = if are_derived { corrected.for_derived() } else { corrected };
+        let track = corrected.approximate_track();
+        let estimate =
+            |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, max_lag_s);
+        let position_encodings = streams.iter().map(estimate).collect();
+        Self { joints, encoding, corrected, streams, position_encodings }
+    }
+
+    pub fn diagnose(&self) -> EncodingResult {
+        self.diagnose_with(&self.position_encodings)
+    }
+
+    /// The same with other encodings of the positions.
+    fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> EncodingResult {
+        let Self { joints, corrected, streams, .. } = self;
+        let both = || streams.iter().zip(position_encodings);
+        let decode = |(stream, position_encoding): (&PoseStream<'a>, _)| {
+            decode_stream(corrected, stream, position_encoding)
+        };
+        let decoded: Vec<EstimateResult<DecodedStream>> = both().map(decode).collect();
+        let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
+        let observations: Vec<&PoseObservations> =
+            usable.iter().map(|decoded| &decoded.observations).collect();
+        let has_zeros = !corrected.is_derived && !are_floating(streams);
+        let mut result = EncodingResult {
+            encoding: Ok(self.encoding.clone()),
+            offsets: Vec::new(),
+            scales: Vec::new(),
+            couplings: Vec::new(),
+            streams: Vec::new(),
+        };
+        let Some(fitted) = fit(&usable, &observations, corrected) else {
+            let why: Vec<NotObservable> = decoded.into_iter().filter_map(Result::err).collect();
+            if has_zeros {
+                let first = why.first().unwrap_or(&NotObservable::NoOverlap);
+                result.offsets = unobservable_offsets(joints.dof, first);
+            }
+            result.streams = why.into_iter().map(no_diagnosis).collect();
+            return result;
+        };
+        let fitted = &with_timings(fitted, &observations);
+        let held_out = &HeldOut::new(&observations, &fitted.model, &fitted.candidates);
+        let beside_links = &match corrected.is_derived {
+            false => BesideLinks::new(fitted, &usable),
+            true => BesideLinks::default(),
+        };
+        if has_zeros {
+            result.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
+            (result.scales, result.couplings) = joint_gains(fitted, corrected);
+        }
+        let mut index = 0;
+        for ((stream, position_encoding), decoded) in both().zip(&decoded) {
+            let decoded = match decoded {
+                Ok(decoded) => decoded,
+                Err(why) => {
+                    result.streams.push(no_diagnosis(why.clone()));
+                    continue;
+                }
+            };
+            let stream_fit = StreamFit {
+                recorded: joints,
+                stream,
+                position_encoding,
+                decoded,
+                fitted,
+                held_out,
+                beside_links,
+                index,
+            };
+            result.streams.push(stream_fit.diagnose());
+            index += 1;
+        }
+        result
+    }
+
+    /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
+    /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
+    pub fn or_standard(&self, result: EncodingResult) -> EncodingResult {
+        let are_otherwise_placed = result.streams.iter().any(PoseDiagnosis::is_otherwise_placed);
+        if !are_otherwise_placed && !result.streams.iter().any(PoseDiagnosis::may_be_misread) {
+            return result;
+        }
+        let standard: Vec<PositionEncodingEstimate> =
+            self.position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
+        let standard = self.diagnose_with(&standard);
+        let is_explained = standard.largest_unexplained().is_none()
+            || standard.total_residual_m() <= result.total_residual_m();
+        let is_sufficient = is_explained
+            && standard.is_close_to_fk()
+            && standard.parameter_count() <= result.parameter_count();
+        // A small misreading is near FK, too.
+        let is_near =
+            are_otherwise_placed && standard.streams.iter().all(PoseDiagnosis::is_near_as_logged);
+        match is_near || is_sufficient {
+            true => EncodingResult { encoding: result.encoding, ..standard },
+            false => result,
+        }
+    }
+}
