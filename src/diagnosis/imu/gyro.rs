@@ -15,7 +15,7 @@ use super::{
     noise_of_axes, rms,
 };
 use crate::latency::correlation::median_period_s;
-use crate::latency::profile::LatencySample;
+use crate::latency::profile::{LatencySample, stacked};
 use crate::priors::GYRO_SCALE_PRIOR;
 use crate::samples::sampling::check_sample_count;
 use crate::{EstimateResult, GyroBias, GyroScaleError, Measured, NotObservable};
@@ -233,8 +233,8 @@ impl GyroModel<'_> {
                 self.common.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
-                residual: [Vec3::zeros(), measured - state.body_rate()],
-                velocity: [Vec3::zeros(), change],
+                residual: stacked([Vec3::zeros(), measured - state.body_rate()]),
+                velocity: stacked([Vec3::zeros(), change]),
                 loads: [0.0; 2],
                 joint_noise: (state.rate_noise / 3.0).sqrt(),
             })

@@ -15,7 +15,7 @@ use crate::encodings::rotation::{
 };
 use crate::frames::position_fit::spread;
 use crate::frames::rotation_frames::mean_rotation;
-use crate::latency::profile::LatencySample;
+use crate::latency::profile::{LatencySample, stacked};
 use crate::model::measurement::{FLOOR_RAD, MAX_EXPLAINED_RAD};
 use crate::priors::{LINK_PRIOR_RAD, MODEL_ERROR_RAD};
 use crate::samples::sampling::{check_sample_count, rows_within};
@@ -281,10 +281,11 @@ impl OrientationModel<'_> {
                     self.link.at(self.common.delay.truth_s(t_s - late_s(t_s)), &mut buffers)?;
                 let turned = then.rotation * state.rotation.inverse();
                 let in_world = |by_link: Vec3| self.world_from_base * by_link;
+                let residual = residual - in_world(rotvec_from_rotation(&turned));
                 Some(LatencySample {
                     t_s,
-                    residual: [Vec3::zeros(), residual - in_world(rotvec_from_rotation(&turned))],
-                    velocity: [Vec3::zeros(), in_world(then.rate)],
+                    residual: stacked([Vec3::zeros(), residual]),
+                    velocity: stacked([Vec3::zeros(), in_world(then.rate)]),
                     loads: [0.0; 2],
                     joint_noise: (state.rotation_noise.trace() / 3.0).sqrt(),
                 })

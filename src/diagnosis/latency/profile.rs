@@ -30,8 +30,9 @@ use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::median;
+use nalgebra::Vector6;
 use shapes::{Basis, Fit, likeliest_shape, middle_s};
-use windows::{NormalizedSample, Window, noise, normalized, windows};
+use windows::{Window, noise, normalized, windows};
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -198,17 +199,22 @@ impl LatencyProfile {
 }
 
 /// Corrected residual at one stamp, and the true velocity. Up to two kinds of vectors, such as position and
-/// rotation; a missing kind is zero.
+/// rotation; a missing kind is zero. Normalised ones are in units of the noise of each kind.
 #[derive(Clone, Copy)]
 pub(crate) struct LatencySample {
     /// s from the run's origin.
     pub t_s: f64,
-    pub residual: [Vec3; 2],
-    pub velocity: [Vec3; 2],
+    pub residual: Vector6<f64>,
+    pub velocity: Vector6<f64>,
     /// Joint speed, rad/s, and tool speed, m/s, on which the latency may depend. 0 disables the test.
     pub loads: [f64; 2],
     /// Standard deviation of a component of the last kind caused by joint noise. 0 if unknown.
     pub joint_noise: f64,
+}
+
+/// One vector of both kinds.
+pub(crate) fn stacked([first, last]: [Vec3; 2]) -> Vector6<f64> {
+    Vector6::new(first.x, first.y, first.z, last.x, last.y, last.z)
 }
 
 /// Latency profile of `aligned` samples, which are compensated for `skew` and the gradual latency `removed_ramp`.
@@ -228,7 +234,7 @@ pub(crate) fn latency_profile(
             let measured_s = sample.t_s - late_s(sample.t_s);
             let then = samples.partition_point(|it| it.t_s < measured_s).min(samples.len() - 1);
             let LatencySample { velocity, loads, .. } = samples[then];
-            let residual = aligned.residual(row, fk[row].as_ref()?);
+            let residual = stacked(aligned.residual(row, fk[row].as_ref()?));
             Some(LatencySample { residual, velocity, loads, ..*sample })
         });
         Some(shifted.collect())
@@ -317,7 +323,7 @@ fn likeliest_profile(windows: &[Window]) -> EstimateResult<(LatencyProfile, Skew
 }
 
 /// Latency that remains at a stamp of samples.
-type RemainingLatency<'a> = (&'a [NormalizedSample], &'a dyn Fn(f64) -> f64);
+type RemainingLatency<'a> = (&'a [LatencySample], &'a dyn Fn(f64) -> f64);
 
 /// Whether samples `with` a profile leave far less than those `without` it.
 fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool {
@@ -358,8 +364,8 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
         };
         LatencySample {
             t_s: t[k],
-            residual: aligned.residual(k, &aligned.fk_at_truth[k]),
-            velocity,
+            residual: stacked(aligned.residual(k, &aligned.fk_at_truth[k])),
+            velocity: stacked(velocity),
             loads: [speed, velocity[0].norm()],
             joint_noise: 0.0,
         }

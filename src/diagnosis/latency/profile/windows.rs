@@ -1,7 +1,6 @@
 //! Samples as sums over windows of about a second, and over short bins within.
 
 use super::{LatencySample, typical_std_error_s};
-use ground::geometry::Vec3;
 use ground::stats::{Measured, mean};
 use nalgebra::{DMatrix, DVector, Vector6};
 
@@ -9,16 +8,6 @@ use nalgebra::{DMatrix, DVector, Vector6};
 const WINDOW_S: f64 = 1.0;
 /// The latency is constant in a bin, so this is also the resolution of its times.
 pub(super) const BIN_S: f64 = 0.05;
-
-/// Sample in units of the noise of each kind. Components of a missing kind are zero.
-#[derive(Clone, Copy)]
-pub(super) struct NormalizedSample {
-    pub t_s: f64,
-    pub residual: Vector6<f64>,
-    pub velocity: Vector6<f64>,
-    pub loads: [f64; 2],
-    pub joint_noise: f64,
-}
 
 /// Levels that contribute to a latency, with their factors. Those of factor 0 do not.
 pub(super) type Terms = [(usize, f64); 4];
@@ -112,7 +101,7 @@ impl Window {
     /// Slope of residual over velocity. Autocorrelation ρ inflates the variance by (1 + ρ)/(1 − ρ). `None` without
     /// enough variation of velocity. `compensated_s` is the latency that the residuals do not contain.
     fn new(
-        samples: &[NormalizedSample],
+        samples: &[LatencySample],
         components: usize,
         compensated_s: impl Fn(f64) -> f64,
     ) -> Option<Self> {
@@ -124,7 +113,7 @@ impl Window {
         }
         let mean_residual = samples.iter().map(|sample| sample.residual).sum::<Vector6<f64>>() / n;
         let mean_velocity = samples.iter().map(|sample| sample.velocity).sum::<Vector6<f64>>() / n;
-        let centred = |sample: &NormalizedSample| {
+        let centred = |sample: &LatencySample| {
             (sample.residual - mean_residual, sample.velocity - mean_velocity)
         };
         let centred: Vec<(Vector6<f64>, Vector6<f64>)> = samples.iter().map(centred).collect();
@@ -159,13 +148,13 @@ impl Window {
         let std_error = std_error.hypot(0.5 * rate * delta_s * delta_s);
         let t_s = mean(samples.iter().map(|sample| sample.t_s));
         let value = delta_s + compensated_s(t_s);
-        let as_logged = samples.iter().map(|sample| NormalizedSample {
+        let as_logged = samples.iter().map(|sample| LatencySample {
             residual: sample.residual - compensated_s(sample.t_s) * sample.velocity,
             ..*sample
         });
-        let as_logged: Vec<NormalizedSample> = as_logged.collect();
-        let bin_of = |sample: &NormalizedSample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
-        let bin = |own: &[NormalizedSample]| Bin {
+        let as_logged: Vec<LatencySample> = as_logged.collect();
+        let bin_of = |sample: &LatencySample| ((sample.t_s - samples[0].t_s) / BIN_S) as usize;
+        let bin = |own: &[LatencySample]| Bin {
             t_s: mean(own.iter().map(|sample| sample.t_s)),
             loads: own[0].loads,
             velocity: own.iter().map(|sample| sample.velocity).sum(),
@@ -190,8 +179,8 @@ pub(super) fn noise(samples: &[LatencySample]) -> [f64; 2] {
     /// In m and rad.
     const FLOOR: f64 = 1e-6;
     [0, 1].map(|kind| {
-        let steps = samples.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
-        let square: f64 = steps.map(|step| step.norm_squared()).sum();
+        let steps = samples.windows(2).map(|pair| pair[1].residual - pair[0].residual);
+        let square: f64 = steps.map(|step| step.fixed_rows::<3>(3 * kind).norm_squared()).sum();
         (square / (6 * samples.len().max(1)) as f64).sqrt().max(FLOOR)
     })
 }
@@ -201,10 +190,9 @@ pub(super) fn normalized(
     samples: &[LatencySample],
     noise: [f64; 2],
     logged_s: impl Fn(f64) -> f64,
-) -> Vec<NormalizedSample> {
-    let scaled =
-        |parts: &[Vec3; 2]| Vector6::from_fn(|at, _| parts[at / 3][at % 3] / noise[at / 3]);
-    let sample = |of: &LatencySample| NormalizedSample {
+) -> Vec<LatencySample> {
+    let scaled = |parts: &Vector6<f64>| Vector6::from_fn(|at, _| parts[at] / noise[at / 3]);
+    let sample = |of: &LatencySample| LatencySample {
         t_s: logged_s(of.t_s),
         residual: scaled(&of.residual),
         velocity: scaled(&of.velocity),
@@ -224,7 +212,7 @@ pub(super) fn effective_count(windows: &[Window]) -> f64 {
 }
 
 pub(super) fn windows(
-    samples: &[NormalizedSample],
+    samples: &[LatencySample],
     components: usize,
     compensated_s: impl Fn(f64) -> f64,
 ) -> Vec<Window> {
