@@ -75,6 +75,7 @@ mod test_motion;
 mod test_random;
 
 // What every estimator uses.
+mod distinct;
 mod model;
 mod priors;
 mod samples;

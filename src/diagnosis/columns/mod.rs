@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::PoseStream;
+use crate::distinct::distinct;
 use crate::encodings::position::metres_by_size;
 use crate::robot_models::ranking::{ScoredFit, extent, frame_price, tool_fit};
 use crate::samples::sampling::range_of;
@@ -311,12 +312,7 @@ impl NumericTable {
                 all = all.par_iter().filter_map(anew).collect();
             }
             all.sort_by(|a, b| a.score.total_cmp(&b.score));
-            let mut mappings: Vec<ColumnMapping> = Vec::new();
-            for mapping in all {
-                if !mappings.iter().any(|other| other.is_same(&mapping)) {
-                    mappings.push(mapping);
-                }
-            }
+            let mappings = distinct(all, ColumnMapping::is_same);
             if mappings.iter().any(ColumnMapping::fits) {
                 return mappings;
             }

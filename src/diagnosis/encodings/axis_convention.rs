@@ -5,6 +5,7 @@
 //! each of the 48 axis conventions, so all are tested. If the frame's rotation is free, it is fitted
 //! alternately with the rest. The simplest of the best solutions comes first.
 
+use crate::distinct::distinct;
 use crate::frames::position_fit::{rigid_rotation, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -142,13 +143,7 @@ pub(crate) fn candidate_encodings(
         return Vec::new();
     }
     found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.residual_m.total_cmp(&b.residual_m)));
-    let mut distinct: Vec<PositionEncoding> = Vec::new();
-    for one in found {
-        if !distinct.iter().any(|known| known.is_same(&one)) {
-            distinct.push(one);
-        }
-    }
-    distinct
+    distinct(found, PositionEncoding::is_same)
 }
 
 /// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.

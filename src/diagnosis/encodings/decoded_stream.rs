@@ -9,6 +9,7 @@ use super::rotation::{
     EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationCorrections,
     RotationDecoder, RotationSamples, estimate_encoding,
 };
+use crate::distinct::distinct;
 use crate::frames::position_fit::spread;
 use crate::joints::CorrectedJoints;
 use crate::latency::correlation::LagPeak;
@@ -164,13 +165,9 @@ fn interpretations(
         reference: Some(Rotation::identity()),
         ..unanchored
     });
-    let mut interpretations: Vec<PositionInterpretation> = Vec::new();
-    for interpretation in by_positions.chain(declared) {
-        // Several candidates may leave the reference free.
-        if !interpretations.iter().any(|known| known.has_rotations_of(&interpretation)) {
-            interpretations.push(interpretation);
-        }
-    }
+    // Several candidates may leave the reference free.
+    let mut interpretations =
+        distinct(by_positions.chain(declared), PositionInterpretation::has_rotations_of);
     match interpretations.first() {
         None => interpretations.push(unanchored),
         Some(first) if first.axes != AxesError::NONE => {

@@ -1,5 +1,6 @@
 //! Mapping from logged joint values to joint positions: order, unit and zero.
 
+use crate::distinct::distinct;
 use ground::robot::Chain;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -126,7 +127,8 @@ pub(super) fn unit_maps(chain: &Chain) -> Vec<JointMap> {
     let degree = 1f64.to_radians();
     let all = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)];
     let all = all.map(|(turning, sliding)| scaled(chain, turning, sliding));
-    distinct(all, &[JointMap::as_logged(chain.dof())])
+    let none = JointMap::as_logged(chain.dof());
+    distinct(all.into_iter().filter(|map| *map != none), JointMap::eq)
 }
 
 /// Other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that are radians.
@@ -166,18 +168,8 @@ pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
         }
         maps.push(map);
     }
-    distinct(maps, &[unit_maps(chain), vec![none]].concat())
-}
-
-/// Each of `maps` that is not among `known`, once.
-fn distinct(maps: impl IntoIterator<Item = JointMap>, known: &[JointMap]) -> Vec<JointMap> {
-    let mut distinct: Vec<JointMap> = Vec::new();
-    for map in maps {
-        if !known.contains(&map) && !distinct.contains(&map) {
-            distinct.push(map);
-        }
-    }
-    distinct
+    let known = [unit_maps(chain), vec![none]].concat();
+    distinct(maps.into_iter().filter(|map| !known.contains(map)), JointMap::eq)
 }
 
 /// Exhaustive search (7! = 5040).

@@ -4,6 +4,7 @@
 
 use super::stepwise::{ScoredSet, grow};
 use crate::Measured;
+use crate::distinct::distinct;
 use crate::model::measurement::{
     LATENCY_COLUMN, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, RADIAL_SCALE_COLUMN,
     REFERENCE_COLUMNS_START, SKEW_COLUMN, STREAM_WIDTH, State, TOOL_COLUMNS_START,
@@ -478,12 +479,7 @@ pub(crate) fn select_from_starts(
             std::iter::once(near).chain(far)
         })
         .collect();
-    let mut distinct: Vec<SelectedModel> = Vec::new();
-    for model in ranked(first).into_iter().take(CONTINUED) {
-        if !distinct.iter().any(|better| better.is_at(&model)) {
-            distinct.push(model);
-        }
-    }
+    let distinct = distinct(ranked(first).into_iter().take(CONTINUED), SelectedModel::is_at);
     let continued: Vec<SelectedModel> = distinct
         .into_par_iter()
         .map(|model| {
