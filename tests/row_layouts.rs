@@ -429,3 +429,43 @@ fn a_folder_of_runs_is_still_refused() {
     let refusal = audit_with(&[folder.path().to_owned()], None, None).expect_err("a refusal");
     assert!(refusal.what.contains("several runs"), "{}", refusal.what);
 }
+
+/// Rows of two arms in turn; those of the second, which is later in the same motion, have a wrong position.
+fn long_table(offset_m: f64) -> String {
+    const LATER_ROWS: usize = 300;
+    let all = CLEAN.rows();
+    let mut text = "time,arm,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
+    for (left, right) in all.iter().zip(&all[LATER_ROWS..]) {
+        for (arm, own, offset_m) in [("left", left, 0.0), ("right", right, offset_m)] {
+            let mut numbers = own[1..].to_vec();
+            numbers[6] += offset_m;
+            let cells: Vec<String> = numbers.iter().map(|own| format!("{own:.9}")).collect();
+            text += &format!("{:.3},{arm},{}\n", left[0], cells.join(","));
+        }
+    }
+    text
+}
+
+#[test]
+fn each_stream_of_a_long_table_is_audited() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let logs = [write(folder.path(), "run.csv", &long_table(0.0))];
+    let clean = audit_with(&logs, Some("ur5e"), None).expect("a report");
+    assert_eq!(fault_codes(&clean), <[&str; 0]>::default(), "{:?}", clean.findings);
+    let counts = clean.streams.iter().map(|stream| (stream.topic.as_str(), stream.count));
+    let counts: Vec<(&str, usize)> =
+        counts.map(|(topic, count)| (topic, count as usize)).filter(|own| own.1 > 0).collect();
+    for topic in ["left/q", "left/pose", "right/q", "right/pose"] {
+        assert!(counts.contains(&(topic, 1200)), "{counts:?}");
+    }
+    let columns = &clean.log.tables[0].columns;
+    assert!(columns.iter().any(|column| column.read_as == "left/q, right/q"), "{columns:?}");
+    let layout = clean.log.tables[0].layout.clone().expect("a layout");
+    assert_eq!(layout, "t,_,q[6],x,y,z,qx,qy,qz,qw");
+    let logs = [write(folder.path(), "run.csv", &long_table(0.05))];
+    for columns in [None, Some(layout.as_str())] {
+        let wrong = audit_with(&logs, Some("ur5e"), columns).expect("a report");
+        assert_eq!(fault_codes(&wrong), ["FRM002"], "{:?}", wrong.findings);
+        assert!((value_of(&wrong, "FRM002") - 50.0).abs() < 0.1, "{}", value_of(&wrong, "FRM002"));
+    }
+}

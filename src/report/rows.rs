@@ -146,6 +146,13 @@ fn reading(log: &Log, table: usize, at: Option<Cell>) -> String {
         return "stamps".to_owned();
     }
     let is_it = |cell: &crate::log::TableCell| cell.table == table && cell.at == at;
+    // A long table has several streams in the same columns.
+    let streams = log.topics.iter().filter(|topic| topic.cells.iter().any(is_it));
+    let read = streams.filter(|topic| topic.columns.is_some() && !is_bare(topic));
+    let names: Vec<&str> = read.map(|topic| topic.name.as_str()).collect();
+    if names.len() > 1 {
+        return names.join(", ");
+    }
     for topic in &log.topics {
         if topic.cells.iter().any(is_it) {
             let why = topic.unusable.as_ref().or(topic.read_as.as_ref());

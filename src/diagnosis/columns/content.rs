@@ -1,6 +1,7 @@
 //! Relations between columns: time-shifted copies and rates.
 
 use super::{MIN_MOVING_JOINTS, NumericTable, tolerated_range};
+use crate::samples::sampling::range_of;
 use ground::robot::Chain;
 use ground::stats::{mean, median, parabola_minimum};
 
@@ -138,14 +139,8 @@ impl NumericTable {
 
     /// Relation to the columns `others`.
     pub fn content(&self, column: usize, others: &[usize]) -> ColumnContent {
-        let values = &self.columns[column];
-        let [low, high] = self.ranges[column];
-        if low == high {
-            return ColumnContent::Constant;
-        }
-        let tolerance = 0.02 * (high - low);
-        if values.iter().all(|value| value - low < tolerance || high - value < tolerance) {
-            return ColumnContent::TwoLevels;
+        if let Some(levels) = self.levels[column] {
+            return levels;
         }
         let copies = others
             .iter()
@@ -269,6 +264,19 @@ impl NumericTable {
     }
 }
 
+/// Whether all values are equal, or near one of two levels.
+pub(super) fn levels(values: &[f64]) -> Option<ColumnContent> {
+    /// Of their distance.
+    const TOLERANCE: f64 = 0.02;
+    let [low, high] = range_of(values.iter().copied());
+    if low == high {
+        return Some(ColumnContent::Constant);
+    }
+    let tolerance = TOLERANCE * (high - low);
+    let are_two = values.iter().all(|value| value - low < tolerance || high - value < tolerance);
+    are_two.then_some(ColumnContent::TwoLevels)
+}
+
 /// Without its mean, and of unit length; zero if it is constant or not finite.
 fn normalized(mut series: Vec<f64>) -> Vec<f64> {
     let mean = mean(series.iter().copied());
@@ -285,4 +293,26 @@ fn normalized(mut series: Vec<f64>) -> Vec<f64> {
 /// Correlation of two normalized series.
 fn correlation(values: &[f64], others: &[f64]) -> f64 {
     values.iter().zip(others).map(|(value, other)| value * other).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_column_that_alternates_with_the_rows_is_not_constant() {
+        // Every second row of 200 Hz is left out.
+        let rows = 0..2000;
+        let columns = [
+            rows.clone().map(|row| f64::from(2 + row % 2)).collect(),
+            rows.clone().map(|_| 2.0).collect(),
+            rows.clone().map(|row| f64::from(row % 3)).collect(),
+        ];
+        let t_s = rows.map(|row| 0.005 * f64::from(row)).collect();
+        let table = NumericTable::new(t_s, columns.to_vec(), vec![0; 3]);
+        let contents = [0, 1, 2].map(|column| table.content(column, &[]));
+        let expected =
+            [ColumnContent::TwoLevels, ColumnContent::Constant, ColumnContent::Independent];
+        assert_eq!(contents, expected);
+    }
 }

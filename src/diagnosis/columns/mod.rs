@@ -89,6 +89,8 @@ pub struct NumericTable {
     noises: Vec<f64>,
     /// Per second, over a few rows.
     steepest: Vec<f64>,
+    /// Whether each column is constant or has two levels, by all rows: rows of several streams alternate.
+    levels: Vec<Option<ColumnContent>>,
 }
 
 /// Positions that a joint may have, rad or m.
@@ -239,6 +241,7 @@ fn best_candidates(
 impl NumericTable {
     /// Takes rows at increasing times. Long tables are downsampled and cut to the most active window.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
+        let levels = columns.iter().map(|values| content::levels(values)).collect();
         let rate_hz = t_s.len() as f64 / span_s(&t_s).max(f64::MIN_POSITIVE);
         let step = (rate_hz / MAX_RATE_HZ).ceil().max(1.0) as usize;
         let rows: Vec<usize> = (0..t_s.len()).step_by(step).collect();
@@ -250,7 +253,8 @@ impl NumericTable {
             (pick(&t_s), columns.iter().map(pick).collect());
         let ranges = columns.iter().map(|values| range_of(values.iter().copied())).collect();
         let noises = columns.iter().map(|values| sample_noise(values)).collect();
-        let mut table = Self { t_s, columns, homes, ranges, noises, steepest: Vec::new() };
+        let steepest = Vec::new();
+        let mut table = Self { t_s, columns, homes, ranges, noises, steepest, levels };
         table.steepest = table.columns.iter().map(|values| table.max_rate(values)).collect();
         table
     }

@@ -10,6 +10,7 @@ use std::ops::RangeInclusive;
 use jiff::civil::{Date, Time};
 use memchr::{memchr_iter, memmem};
 
+use super::row_labels::RowLabels;
 use super::text_rows::{self, CellsBeside, RowFormat, TextRows};
 use super::{
     Cell, Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock,
@@ -515,7 +516,7 @@ pub(super) fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
 }
 
 fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
-    let TextRows { values, mut billionths, texts, text_counts, lines, beside } = rows;
+    let TextRows { values, mut billionths, texts, text_counts, levels, lines, beside } = rows;
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |at: &usize| {
         let finite = values[*at].iter().filter(|value| value.is_finite()).count();
@@ -524,7 +525,11 @@ fn build_table(names: Option<Vec<String>>, rows: TextRows<'_>) -> Table {
     };
     let (numeric, text_columns): (Vec<usize>, Vec<usize>) = (0..values.len()).partition(is_numeric);
     let notes = beside.map(CellsBeside::note).into_iter().collect();
-    let mut made = Table { rows, lines, text_columns, notes, ..Table::default() };
+    let name = |at: usize| names.as_ref().map_or("", |names| &names[at]);
+    let labels = text_columns.iter();
+    let labels =
+        labels.filter_map(|&at| RowLabels::of_texts(name(at), rows, &levels[at])).collect();
+    let mut made = Table { rows, lines, text_columns, notes, labels, ..Table::default() };
     let Some(names) = names else {
         let columns: Vec<&Vec<f64>> = numeric.iter().map(|&at| &values[at]).collect();
         let all = (0..rows).flat_map(|row| columns.iter().map(move |column| column[row])).collect();

@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock, TWO_TURNS_RAD};
 use super::names::{self, PoseComponent, PosePart};
+use super::row_labels::RowLabels;
 use super::row_layout::pose_order;
 use super::velocity_files::follow_positions;
 use super::{
@@ -28,9 +29,12 @@ use ground::stream::{ArrayColumns, Columns, JointColumns, is_usable, usable_or_n
 const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
 /// For joint positions, a pose or its parts.
 const MIN_CELLS: usize = 3;
+/// Reason of a column whose values name streams.
+const ROW_LABEL: &str = "names the stream of each row";
 /// LeRobot's counters; no measurements.
 const COUNTER_COLUMNS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
+#[derive(Clone)]
 enum ColumnMeaning {
     /// `unnamed` if the joint names are generated.
     Joints {
@@ -59,6 +63,7 @@ impl ColumnMeaning {
     }
 }
 
+#[derive(Clone)]
 struct ColumnGroup {
     topic: String,
     cells: Vec<Cell>,
@@ -161,12 +166,20 @@ pub(super) fn identify_topics(
         [only] => with_clock.iter().any(|(_, own)| own.cell == Some(*only)),
         _ => false,
     };
+    let all_cells: Vec<&[Cell]> = groups.iter().map(|group| group.cells.as_slice()).collect();
+    let labels = RowLabels::detect(table, &all_cells);
     let groups = groups.into_iter().zip(&with_clock).filter(|(group, _)| !is_used(group));
-    let found = groups.map(|(group, clocks)| group.into_topic(table, *clocks, (most, &sampling)));
-    let unread = table.unread.iter().map(|(name, why)| TableTopic {
+    let found = groups.flat_map(|(group, clocks)| {
+        group.into_topics(table, *clocks, (most, &sampling), labels.as_ref())
+    });
+    let why = |name: &str, why: &str| match &labels {
+        Some(own) if own.cell.is_none() && own.column == name => ROW_LABEL.to_owned(),
+        _ => why.to_owned(),
+    };
+    let unread = table.unread.iter().map(|(name, own)| TableTopic {
         topic: name.clone(),
         kind: "unread".to_owned(),
-        why: why.clone(),
+        why: why(name, own),
         rows: table.rows as u64,
         ..TableTopic::default()
     });
@@ -860,6 +873,28 @@ impl ColumnGroup {
         sizes.filter(|size| is_usable(*size)).fold(0.0, f64::max)
     }
 
+    /// One topic, or one for each stream of a long table that has numbers of the group.
+    fn into_topics(
+        self,
+        table: &Table,
+        clocks: (&Clock, &Clock),
+        values: (f64, &Sampling),
+        labels: Option<&RowLabels>,
+    ) -> Vec<TableTopic> {
+        let Some(labels) = labels else {
+            return vec![self.into_topic(table, clocks, values, None)];
+        };
+        if labels.cell.is_some_and(|cell| self.cells == [cell]) {
+            let (meaning, why) = (ColumnMeaning::Unused, ROW_LABEL.to_owned());
+            let own = Self { meaning, why, part: None, ..self };
+            return vec![own.into_topic(table, clocks, values, None)];
+        }
+        let streams = labels.streams().into_iter();
+        let topics = streams
+            .map(|stream| self.clone().into_topic(table, clocks, values, Some((labels, stream))));
+        topics.filter(|topic| topic.rows + topic.unstamped > 0 || topic.damaged.is_some()).collect()
+    }
+
     /// `most` is the largest joint position of the table. Beyond two turns all joint positions are taken
     /// for degrees, in states and in commands.
     fn into_topic(
@@ -867,9 +902,19 @@ impl ColumnGroup {
         table: &Table,
         (clock, own): (&Clock, &Clock),
         (most, sampling): (f64, &Sampling),
+        stream: Option<(&RowLabels, Option<usize>)>,
     ) -> TableTopic {
-        let own_rows = sampling.own_rows(table, &self);
-        let Self { topic, cells, meaning, mut why, .. } = self;
+        let mut own_rows = sampling.own_rows(table, &self);
+        let Self { mut topic, cells, meaning, mut why, .. } = self;
+        if let Some((labels, stream)) = stream {
+            let rows = labels.rows.iter().enumerate();
+            let is_own = |(row, label): (usize, &Option<usize>)| {
+                *label == stream && own_rows.as_ref().is_none_or(|own_rows| own_rows[row])
+            };
+            own_rows = Some(rows.map(is_own).collect());
+            let value = stream.map(|stream| labels.values[stream].as_str());
+            topic = value.map_or_else(|| topic.clone(), |value| format!("{value}/{topic}"));
+        }
         if let Some(own_rows) = &own_rows {
             let count = own_rows.iter().filter(|is_own| **is_own).count();
             why += &format!("; in {count} of {} rows", table.rows);

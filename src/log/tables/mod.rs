@@ -22,6 +22,7 @@ mod parquet;
 mod records;
 mod repeats;
 mod rlds;
+mod row_labels;
 mod row_layout;
 mod row_losses;
 mod rsi;
@@ -80,6 +81,7 @@ pub(super) use self::records::{
     has_times as has_record_times, is_nested_yaml, is_yaml_list, looks_like_json, looks_like_yaml,
 };
 pub(super) use self::rlds::metadata_files as declared_beside;
+use self::row_labels::RowLabels;
 pub(crate) use self::row_layout::{LayoutGroup, LayoutTime};
 use self::row_losses::first_line;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
@@ -135,6 +137,8 @@ pub(super) struct Table {
     pub text_columns: Vec<usize>,
     /// Times in text of columns without names, in billionths.
     pub exact_times: BTreeMap<Cell, Vec<Option<i128>>>,
+    /// Columns of text with few different values.
+    pub labels: Vec<RowLabels>,
     /// Times of its rows from another file, whose name it has.
     pub times: Option<Column>,
 }

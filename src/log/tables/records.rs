@@ -11,6 +11,7 @@ use std::collections::BTreeSet;
 use serde_json::{Map, Value};
 
 use super::csv::{decimal_billionths, text_number};
+use super::row_labels::{Levels, RowLabels};
 use super::{
     Column, ColumnSettings, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_PARAMETERS, MAX_WIDTH,
     ReadContext, Table, TableError, clock, first_line, most_frequent, rate_in,
@@ -484,6 +485,8 @@ struct Records {
     columns: Vec<Column>,
     /// Number of text cells in each column, and the first one.
     texts: Vec<(usize, String)>,
+    /// The texts of each column, unless they are many.
+    levels: Vec<Levels<String>>,
     lines: Vec<usize>,
     rate_hz: Option<f64>,
     unread: Vec<(String, String)>,
@@ -588,6 +591,8 @@ impl Records {
                     if first.is_empty() {
                         first.clone_from(text);
                     }
+                    memory.reserve(2)?;
+                    self.levels[at].push(self.rows, text.clone());
                 }
                 self.put_exact(at, text, memory)?;
             }
@@ -613,6 +618,7 @@ impl Records {
             None => {
                 self.columns.push(Column::untyped(name, width, Vec::new()));
                 self.texts.push((0, String::new()));
+                self.levels.push(Levels::default());
                 self.columns.len() - 1
             }
         };
@@ -666,7 +672,10 @@ impl Records {
         };
         let (columns, texts) = (self.columns, self.texts);
         let names = topic_names(&columns, &self.topics, rows);
-        for ((column, (texts, first)), topics) in columns.into_iter().zip(texts).zip(names) {
+        let texts = texts.into_iter().zip(self.levels);
+        for ((column, ((texts, first), levels)), topics) in
+            columns.into_iter().zip(texts).zip(names)
+        {
             let mut column = column;
             let missing = (rows * column.width).saturating_sub(column.values.len());
             if let Err(refusal) = context.memory.reserve(missing) {
@@ -691,6 +700,7 @@ impl Records {
                 }
                 (false, _) => {
                     table.texts.insert(column.name.clone(), first);
+                    table.labels.extend(RowLabels::of_texts(&column.name, rows, &levels));
                     table.unread.push((column.name, "text, not numbers".to_owned()));
                 }
             }

@@ -9,6 +9,7 @@ use super::csv::{
     MAX_LINE_BYTES, comment, decimal_billionths, is_text, number, repeats_names, split_cells,
     table_width, trailing_empty_cells,
 };
+use super::row_labels::Levels;
 use super::{ReadContext, TableError};
 use crate::Extent;
 
@@ -35,6 +36,8 @@ pub(super) struct TextRows<'a> {
     pub texts: Vec<Option<&'a [u8]>>,
     /// Number of texts in each column.
     pub text_counts: Vec<usize>,
+    /// The texts of each column, unless they are many.
+    pub levels: Vec<Levels<&'a [u8]>>,
     /// Line of each row, from `first_line`.
     pub lines: Vec<usize>,
     pub beside: Option<CellsBeside>,
@@ -68,6 +71,7 @@ impl<'a> TextRows<'a> {
             billionths: vec![Vec::new(); width],
             texts: vec![None; width],
             text_counts: vec![0; width],
+            levels: vec![Levels::default(); width],
             lines: Vec::new(),
             beside: None,
         }
@@ -86,6 +90,9 @@ impl<'a> TextRows<'a> {
         }
         for (all, own) in self.text_counts.iter_mut().zip(&more.text_counts) {
             *all += own;
+        }
+        for (all, own) in self.levels.iter_mut().zip(&more.levels) {
+            all.extend(own, self.lines.len());
         }
         self.lines.extend(more.lines.iter().map(|own| first_line + own));
         if let Some(CellsBeside { count, line }) = more.beside {
@@ -114,7 +121,9 @@ pub(super) fn read<'a>(
         let group: Vec<Block<'a>> = group.collect();
         let rows: usize = group.iter().map(|block| block.rows.lines.len()).sum();
         // Times take two more numbers, and the mark for a missing one.
-        context.memory.reserve(rows * (width + 1 + 4 * format.times.len()))?;
+        let levels = group.iter().flat_map(|block| &block.rows.levels);
+        let texts = levels.map(Levels::row_count).sum::<usize>();
+        context.memory.reserve(rows * (width + 1 + 4 * format.times.len()) + 2 * texts)?;
         for block in group {
             all.extend(&block.rows, line);
             if let Some(own) = block.cut_off {
@@ -239,7 +248,10 @@ impl<'a> Block<'a> {
         }
         for (at, (cell, own)) in row.iter().zip(numbers).enumerate() {
             self.rows.values[at].push(*own);
-            self.rows.text_counts[at] += usize::from(is_text(cell, *own));
+            if is_text(cell, *own) {
+                self.rows.text_counts[at] += 1;
+                self.rows.levels[at].push(self.rows.lines.len() - 1, *cell);
+            }
             if own.is_nan() {
                 prefer_text(&mut self.rows.texts[at], Some(*cell));
             }

@@ -75,11 +75,19 @@ impl TableNumbers {
             }
         }
         numbers.sort_by_key(|(number, _)| number.cell.at);
+        // Streams of a long table have the same columns.
+        let earlier_streams = |topic: usize| {
+            let is_same = |other: &&Topic| other.cells == topics[topic].cells;
+            topics[..topic].iter().filter(is_same).count()
+        };
         let home = |number: &TableNumber| match topics[number.at.0].cells.len() {
-            1 => 0,
+            1 => match earlier_streams(number.at.0) {
+                0 => 0,
+                stream => topics.len() + stream,
+            },
             _ => 1 + number.at.0,
         };
-        numbers.sort_by_key(|(number, _)| home(number));
+        numbers.sort_by_cached_key(|(number, _)| home(number));
         let homes = numbers.iter().map(|(number, _)| home(number)).collect();
         let (numbers, columns): (Vec<TableNumber>, Vec<Vec<f64>>) = numbers.into_iter().unzip();
         let places = numbers.iter().enumerate().map(|(place, number)| (number.at, place)).collect();

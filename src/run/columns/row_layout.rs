@@ -173,10 +173,13 @@ pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignme
         let is_pose = matches!(topic.columns, Some(Columns::Poses(_) | Columns::Array(_)));
         is_pose && names_object(&topic.name)
     };
+    // A long table has several streams in the same columns.
+    let is_first = |topic: &Topic| topics.iter().find(|it| it.cells == topic.cells);
     let own = topics.iter().filter(|topic| {
         topic.cells.first().is_some_and(|cell| cell.table == table)
             && !is_unidentified(topic)
             && !is_object(topic)
+            && is_first(topic).is_some_and(|first| first.name == topic.name)
     });
     let mut assigned = Vec::new();
     for topic in own.clone() {

@@ -468,3 +468,45 @@ fn joints_in_both_units_keep_their_own() {
         assert!((joints.joints[0].position[299] - 2.0 * wave(299)).abs() < 1e-9, "{name}");
     }
 }
+
+#[test]
+fn rows_that_name_their_stream_are_split() {
+    let rows = || (0..200).map(|row| (row, ["left", "right"][row % 2]));
+    let numbers = |row: usize| -> Vec<f64> {
+        (0..6).map(|at| wave(4 * row + 50 * at) + (row % 2) as f64).collect()
+    };
+    let text = |row: usize| numbers(row).iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+    let stamp = |row: usize| 0.01 * (row / 2) as f64;
+    let names = "time,arm,q1,q2,q3,q4,q5,q6\n";
+    let csv_of = |label: &dyn Fn(usize, &str) -> String| {
+        let line = |(row, arm)| format!("{},{},{}\n", stamp(row), label(row, arm), text(row));
+        names.to_owned() + &rows().map(line).collect::<String>()
+    };
+    let records: String = rows()
+        .map(|(row, arm)| {
+            format!("{{\"time\":{},\"arm\":\"{arm}\",\"q\":[{}]}}\n", stamp(row), text(row))
+        })
+        .collect();
+    for (log, streams, unlabelled) in [
+        (csv_of(&|_, arm| arm.to_owned()), ["left/q", "right/q"], 0),
+        (csv_of(&|row, _| (row % 2 + 2).to_string()), ["arm_2/q", "arm_3/q"], 0),
+        // No row is dropped.
+        (
+            csv_of(&|row, arm| if row < 10 { String::new() } else { arm.to_owned() }),
+            ["left/q", "right/q"],
+            10,
+        ),
+        (records, ["left/q", "right/q"], 0),
+    ] {
+        let log = plain(log.as_bytes());
+        for (parity, stream) in streams.into_iter().enumerate() {
+            let (_, own) = joints(&log, stream);
+            assert_eq!(own.len(), 100 - unlabelled / 2);
+            assert_eq!(own[0], numbers(unlabelled + parity));
+        }
+        assert_eq!(topic(&log, "arm").read_as.as_deref(), Some("names the stream of each row"));
+        if unlabelled > 0 {
+            assert_eq!(joints(&log, "q").1.len(), unlabelled);
+        }
+    }
+}
