@@ -33,6 +33,9 @@ const COUNTER_WORDS: &[&str] =
 /// Share of the steps.
 const MAX_BACKWARD_PERCENT: usize = 2;
 
+/// Share of the rows that repeat the stamp of the row before, because stamps are rounded or the clock is late.
+const MAX_REPEATED_PERCENT: usize = 5;
+
 const MAX_NANOS: f64 = 9e18;
 
 /// Numbers beyond two turns are not joint positions in rad.
@@ -272,8 +275,6 @@ fn stem_of(name: &str, unit_s: f64) -> Option<Vec<String>> {
 /// Selects the finest clock, because a stamp in whole seconds repeats. Header stamps take precedence over
 /// receive times, and stamps of the robot over those of images.
 fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
-    /// Rows that repeat a stamp.
-    const MAX_REPEATED_PERCENT: usize = 5;
     let has_word = |clock: &Clock, known: &[&str]| {
         clock.name(table).is_some_and(|name| names::has_word(name, known))
     };
@@ -340,7 +341,7 @@ fn are_micros(seconds: impl Iterator<Item = f64>, nanos: impl Iterator<Item = f6
     (MIN_LARGEST..MICROS_PER_SECOND).contains(&largest) && rows >= MIN_ROWS_PER_SECOND * changes
 }
 
-/// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
+/// Takes the only column whose numbers increase evenly, or by which velocities give the changes of positions. Copies in another unit or with another zero count
 /// as the same column.
 fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     /// More increasing columns, copies included, are ramps rather than clocks.
@@ -372,7 +373,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     if table.rows < MIN_ROWS {
         return Err(none());
     }
-    let mut found: Vec<(Clock, Column)> = Vec::new();
+    let mut found: Vec<(Clock, Column, bool)> = Vec::new();
     let mut alike = 0;
     let is_counter = |column: &Column| names::has_word(&column.name, COUNTER_WORDS);
     let distinct = distinct_rows(table);
@@ -385,21 +386,33 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
             let cell = Cell { column: at, part };
             let own = cell_column(table, cell, String::new());
             let clock = clock_of_numbers(table, cell, &own);
-            let Some(clock) = clock.filter(|_| is_even(&own.values)) else { continue };
+            let Some(clock) = clock else { continue };
+            let is_confirmed = do_velocities_confirm(table, &clock);
+            if !is_confirmed && !is_even(&own.values) {
+                continue;
+            }
             alike += 1;
-            let is_known = found.iter().any(|(_, other)| is_linear_in(&other.values, &own.values));
+            let is_known =
+                found.iter().any(|(_, other, _)| is_linear_in(&other.values, &own.values));
             if !is_known {
-                found.push((clock, own));
+                found.push((clock, own, is_confirmed));
             }
         }
     }
+    if found.iter().any(|(.., is_confirmed)| *is_confirmed) {
+        found.retain(|(.., is_confirmed)| *is_confirmed);
+    }
     match found.as_slice() {
         [] => clock_at_edge(table).ok_or_else(none),
+        [(clock, _, true)] => {
+            let description = format!("{}; recorded velocities confirm them", clock.description);
+            Ok(Clock { description, ..found.swap_remove(0).0 })
+        }
         [_] if alike > MAX_INCREASING_COLUMNS => Err(none()),
         [_] => Ok(found.swap_remove(0).0),
         several => {
             const MAX_SHOWN: usize = 3;
-            let names = several.iter().filter_map(|(clock, _)| clock.unnamed_column.as_ref());
+            let names = several.iter().filter_map(|(clock, ..)| clock.unnamed_column.as_ref());
             let shown = names.take(MAX_SHOWN);
             let names: Vec<String> = shown.map(|name| format!("time = \"{name}\"")).collect();
             let more = if several.len() > MAX_SHOWN { ", or another" } else { "" };
@@ -410,6 +423,55 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
             )))
         }
     }
+}
+
+/// Whether recorded velocities, integrated by these stamps, give the changes of the positions of their joints.
+fn do_velocities_confirm(table: &Table, clock: &Clock) -> bool {
+    /// Of the regression of changes on integrals from 1.
+    const MAX_SLOPE_DEVIATION: f64 = 0.02;
+    /// Share of the squared changes. Stamps rounded to a third of a step leave a tenth.
+    const MAX_RESIDUAL_SHARE: f64 = 0.25;
+    let stamps = &clock.stamps;
+    if stamps.windows(2).any(|pair| pair[0].zip(pair[1]).is_none_or(|(one, other)| other < one)) {
+        return false;
+    }
+    let words: Vec<Vec<String>> =
+        table.columns.iter().map(|column| names::split_words(&column.name)).collect();
+    let mut pairs: Vec<[Cell; 2]> = Vec::new();
+    for (column, own) in words.iter().enumerate() {
+        let width = table.columns[column].width;
+        let is_its = |velocity: &usize| {
+            let other = &words[*velocity];
+            table.columns[*velocity].width == width
+                && names::is_joint_velocities(other)
+                && names::shared_words(own) == names::shared_words(other)
+        };
+        if let Some(velocity) =
+            (0..words.len()).filter(|_| names::is_joint_positions(own)).find(is_its)
+        {
+            pairs.extend(
+                (0..width).map(|part| [column, velocity].map(|column| Cell { column, part })),
+            );
+        }
+    }
+    let (mut products, mut integrals, mut changes) = (0.0, 0.0, 0.0);
+    for row in 1..stamps.len() {
+        let (Some(before), Some(at)) = (stamps[row - 1], stamps[row]) else { continue };
+        let step_s = at.saturating_sub(before) as f64 / NANOS_PER_SECOND as f64;
+        for [position, velocity] in &pairs {
+            let [before, at] = [row - 1, row].map(|row| table.number(row, *position));
+            let speeds = [row - 1, row].map(|row| table.number(row, *velocity));
+            let (change, integral) = (at - before, 0.5 * (speeds[0] + speeds[1]) * step_s);
+            if change.is_finite() && integral.is_finite() {
+                products += change * integral;
+                integrals += integral * integral;
+                changes += change * change;
+            }
+        }
+    }
+    let residual = changes - 2.0 * products + integrals;
+    (products / integrals - 1.0).abs() <= MAX_SLOPE_DEVIATION
+        && residual <= MAX_RESIDUAL_SHARE * changes
 }
 
 /// Rows that are not copies of the row before: a recorder that is faster than its source repeats rows with their stamps.
@@ -487,7 +549,7 @@ fn falls_often(back: usize, rows: usize) -> bool {
     100 * back > MAX_BACKWARD_PERCENT * rows.max(100)
 }
 
-/// Whether all steps are positive, and nearly all are near the median, or one to several of the short ones where
+/// Whether no step is negative, few are zero, and nearly all are near the median, or one to several of the short ones where
 /// rows are lost.
 fn increases_evenly(values: &[f64]) -> bool {
     /// Share of regular steps.
@@ -508,7 +570,10 @@ fn increases_evenly(values: &[f64]) -> bool {
         WHOLE_STEPS.contains(&count.round()) && (count - count.round()).abs() <= MAX_DEVIATION_STEPS
     };
     let regular = steps.iter().filter(is_near).count().max(steps.iter().filter(is_whole).count());
-    steps.iter().all(|own| *own > 0.0) && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
+    let repeated = steps.iter().filter(|own| **own == 0.0).count();
+    steps.iter().all(|own| *own >= 0.0)
+        && 100 * repeated <= MAX_REPEATED_PERCENT * steps.len()
+        && 100 * regular >= MIN_REGULAR_PERCENT * steps.len()
 }
 
 /// Whether numbers may be the stamps of rows, evenly spaced or not. A joint that starts and stops has many steps that

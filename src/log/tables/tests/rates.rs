@@ -510,3 +510,42 @@ fn rows_that_name_their_stream_are_split() {
         }
     }
 }
+
+#[test]
+fn times_without_a_telling_name_may_repeat_and_be_uneven() {
+    // Steps of 2 to 4 ms with pauses, rounded to ms.
+    let stamps: Vec<f64> = (0..1000)
+        .scan(0.0, |t_s, row| {
+            let step_s = [0.002, 0.003, 0.004, 0.003, 0.0005, 0.02, 0.0075][row * row % 97 % 7];
+            *t_s += step_s;
+            Some(*t_s)
+        })
+        .collect();
+    let measured = |row: usize| (1e3 * stamps[row]).round() * 1e-3;
+    let even = |row: usize| 0.004 * (row - usize::from(row % 40 == 39)) as f64;
+    let q = |row: usize, at: usize| (2.0 * stamps[row] + at as f64).sin();
+    let qd = |row: usize, at: usize| 2.0 * (2.0 * stamps[row] + at as f64).cos();
+    let log_of = |stamp: &dyn Fn(usize) -> f64, factor: f64, has_velocities: bool| {
+        let names: Vec<String> =
+            ["q", "qd"].iter().flat_map(|of| (1..=6).map(move |at| format!("{of}{at}"))).collect();
+        let count = if has_velocities { 12 } else { 6 };
+        let mut text = format!("t_measured,{}\n", names[..count].join(","));
+        for row in 0..1000 {
+            let numbers = (0..6).map(|at| q(row, at)).chain((0..6).map(|at| factor * qd(row, at)));
+            let numbers: Vec<String> = numbers.take(count).map(|own| format!("{own:.7}")).collect();
+            text += &format!("{:.3},{}\n", stamp(row), numbers.join(","));
+        }
+        read(text.as_bytes(), ColumnSettings::default())
+    };
+    let is_time = |log: &Log| log.time_column.as_deref() == Some("t_measured");
+    let confirmed = log_of(&measured, 1.0, true).expect("a log");
+    assert!(is_time(&confirmed));
+    let note = &confirmed.notes[0].what;
+    assert!(note.ends_with("recorded velocities confirm them"), "{note}");
+    // One of 40 stamps is that of the row before.
+    let repeated = log_of(&even, 1.0, false).expect("a log");
+    assert!(is_time(&repeated));
+    // Velocities of another time, or none.
+    assert!(log_of(&measured, 0.5, true).is_err());
+    assert!(log_of(&measured, 1.0, false).is_err());
+}
