@@ -737,10 +737,21 @@ fn has_velocities(table: &Table, column: &Column) -> bool {
     table.columns.iter().any(is_velocity)
 }
 
-/// Names next to the positions of a joint state, as `ros2 topic echo` writes them.
+/// A list of as many names next to the positions of joints: `name` and `position`, as `ros2 topic echo` writes them,
+/// `joint_names` and `joint_values`, or `joint_names` and `q`.
 fn joint_state_names(table: &Table, column: &str, width: usize) -> Option<Vec<String>> {
-    let record = column.strip_suffix("position").filter(|_| width > 1)?;
-    (0..width).map(|at| table.texts.get(&format!("{record}name[{at}]")).cloned()).collect()
+    const LISTS: [&str; 3] = ["name", "names", "joint_names"];
+    let own = column.rfind(['.', '/']).map_or(column, |at| &column[at + 1..]);
+    let record = &column[..column.len() - own.len()];
+    let of_positions = ["position", "positions"].iter().find_map(|end| column.strip_suffix(end));
+    let is_of_joints = names::is_joint_positions(&names::split_words(own));
+    let before = [of_positions, is_of_joints.then_some(record)].into_iter().flatten();
+    let mut lists = before.flat_map(|before| LISTS.map(|list| format!("{before}{list}")));
+    let name = |list: &str, at: usize| table.texts.get(&format!("{list}[{at}]")).cloned();
+    lists.find_map(|list| {
+        let names = (0..width).map(|at| name(&list, at)).collect::<Option<Vec<String>>>();
+        names.filter(|_| width > 1 && name(&list, width).is_none())
+    })
 }
 
 fn unit_by_name(words: &[String]) -> Option<AngleUnit> {

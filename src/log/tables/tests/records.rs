@@ -277,3 +277,25 @@ fn a_first_record_without_times_describes_the_others() {
         log.notes
     );
 }
+
+#[test]
+fn lists_of_names_name_the_joints_beside_them() {
+    let names = ["gripper", "wrist_roll", "wrist_flex", "elbow_flex", "lift", "pan"];
+    for (list, values, expected) in [
+        ("joint_names", "joint_values", names.map(str::to_owned)),
+        ("joint_names", "q", names.map(str::to_owned)),
+        ("names", "positions", names.map(str::to_owned)),
+        // Of others.
+        ("other_names", "q", [1, 2, 3, 4, 5, 6].map(|at| format!("q{at}"))),
+    ] {
+        let record = |row: usize| {
+            let numbers: Vec<f64> = (0..6).map(|at| 0.01 * row as f64 + 0.1 * at as f64).collect();
+            format!(
+                "{{\"time\":{},\"{list}\":{names:?},\"{values}\":{numbers:?}}}\n",
+                0.1 * row as f64
+            )
+        };
+        let log = plain((0..30).map(record).collect::<String>().as_bytes());
+        assert_eq!(joints(&log, values).0, expected);
+    }
+}
