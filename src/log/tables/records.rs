@@ -293,8 +293,15 @@ fn parse_yaml(document: &str) -> Result<Value, TableError> {
         max_total_scalar_bytes: nodes,
     };
     let options = serde_saphyr::options! { budget: budget };
-    serde_saphyr::from_str_with_options(document, options)
-        .map_err(|error| format!("the YAML cannot be read: {}", first_line(&error)).into())
+    serde_saphyr::from_str_with_options(document, options).map_err(|error| {
+        format!("the YAML cannot be read: {}", yaml_problem(&first_line(&error))).into()
+    })
+}
+
+/// Without the advice that the parser gives to programmers.
+fn yaml_problem(text: &str) -> &str {
+    let problem = text.strip_prefix("error: ").unwrap_or(text);
+    problem.split_once(", set ").map_or(problem, |(problem, _)| problem)
 }
 
 /// Names in a JSON document that may be a single record. `None` if it has rows.
@@ -760,4 +767,16 @@ fn flatten(items: &[Value], depth: usize, numbers: &mut Vec<f64>) -> bool {
         Value::Array(items) => depth < MAX_DEPTH && flatten(items, depth + 1, numbers),
         _ => false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_problem_of_a_yaml_document_is_stated_without_advice_to_programmers() {
+        let error = parse_yaml("a:\n  x: 1\n  x: 2\n").expect_err("a repeated key").to_string();
+        assert!(error.ends_with("duplicate mapping key: x"), "{error}");
+        assert!(error.starts_with("the YAML cannot be read: line"), "{error}");
+    }
 }
