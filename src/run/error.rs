@@ -270,7 +270,7 @@ impl RunError {
                 "pass that option"
             }
             Self::NoJointStates { question: Some(_), .. } => {
-                "pass that option, or name the arm with --robot"
+                "pass that option, and name the arm with --robot"
             }
             Self::NoJointStates { is_of_tables: true, .. } => {
                 "record the joint positions in the same run, or name their columns with --columns \
