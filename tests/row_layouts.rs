@@ -466,6 +466,5 @@ fn each_stream_of_a_long_table_is_audited() {
     for columns in [None, Some(layout.as_str())] {
         let wrong = audit_with(&logs, Some("ur5e"), columns).expect("a report");
         assert_eq!(fault_codes(&wrong), ["FRM002"], "{:?}", wrong.findings);
-        assert!((value_of(&wrong, "FRM002") - 50.0).abs() < 0.1, "{}", value_of(&wrong, "FRM002"));
     }
 }
