@@ -123,7 +123,8 @@ pub use calibration::{
     UndeterminedDirection, calibrate_arm,
 };
 pub use changes::{
-    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointParameter, JointPatch, ScalarChange,
+    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointParameter, JointPatch,
+    ScalarChange,
 };
 pub use columns::{
     ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,

@@ -224,8 +224,7 @@ fn spread_at(case: &Case, calibrate: &ArmCalibration, q: &[f64]) -> [f64; 3] {
         })
         .collect();
     std::array::from_fn(|axis| {
-        let slope =
-            DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
+        let slope = DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
         slope.dot(&(&calibrate.covariance * &slope)).sqrt()
     })
 }

@@ -29,7 +29,8 @@ use crate::{ArmDiagnosis, PoseDiagnosis, PoseStream};
 
 pub(super) use cause_changes::diagnose_with_cause_changes;
 pub use change_points::{
-    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointParameter, JointPatch, ScalarChange,
+    ChangePoint, Course, EncodingSpans, FrameChange, JointChange, JointParameter, JointPatch,
+    ScalarChange,
 };
 pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use encoding_changes::{

@@ -9,8 +9,8 @@ use crate::FrameCorrection;
 use crate::solver::linear::Linear;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
-use ground::stats::thin::thinned;
 use ground::stats::MeasuredLength;
+use ground::stats::thin::thinned;
 use ground::stream::{JointSequence, JointTrack};
 use nalgebra::{DVector, Matrix6, Translation3};
 

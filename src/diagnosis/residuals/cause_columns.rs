@@ -5,9 +5,7 @@
 //! prior.
 
 use crate::model::jacobian::link_derivatives;
-use crate::model::measurement::{
-    ExcludedComponents, FLOOR_M, FLOOR_RAD, pose_of_twist, stacked,
-};
+use crate::model::measurement::{ExcludedComponents, FLOOR_M, FLOOR_RAD, pose_of_twist, stacked};
 use crate::priors::{LEVER_M, LINK_PRIOR_M, LINK_PRIOR_RAD, RADIAL_SCALE_PRIOR};
 use crate::residuals::comparison::{exceeds_noise, has_slow_means, minus_segment_means};
 use crate::selection::nominal_model::rms_of_kinds;

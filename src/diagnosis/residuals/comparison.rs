@@ -4,9 +4,7 @@ use super::residual_check::{ErrorSeries, ErrorSize, PartError, align_with_fk};
 use super::trajectory_error::nearest_stamps;
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::{Noise, rms};
-use crate::{
-    ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
-};
+use crate::{ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual};
 use ground::geometry::{Vec3, mean_vector};
 use ground::stream::{JointTrack, Orientations};
 

@@ -9,8 +9,8 @@ use crate::priors::{MODEL_ERROR_M, RAD_PER_M, price};
 use crate::residuals::comparison::residual_vectors;
 use crate::solver::noise::Noise;
 use crate::{
-    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate,
-    JointCompliance, JointDiagnosis, PoseDiagnosis,
+    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointCompliance,
+    JointDiagnosis, PoseDiagnosis,
 };
 use ground::geometry::Vec3;
 

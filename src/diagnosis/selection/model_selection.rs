@@ -281,7 +281,8 @@ impl Linearized {
 
 /// Columns of a stream that are among `parameters`, with their index there.
 fn target_columns(parameters: &[usize], stream: &StreamEquations) -> Vec<(usize, usize)> {
-    let target = |(own, column): (usize, &usize)| Some((own, parameters.binary_search(column).ok()?));
+    let target =
+        |(own, column): (usize, &usize)| Some((own, parameters.binary_search(column).ok()?));
     stream.parameters.iter().enumerate().filter_map(target).collect()
 }
 
