@@ -90,7 +90,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
     calibrate_inputs(options, read, None)
 }
 
-/// Same with `options.logs` as tables of configurations, or logs in which the arm rests in them. One point of the
+/// Same with `options.logs` as tables of configurations, or logs of an arm that rests in them. One point of the
 /// tool stays at an unknown place in each. The points of the two files in a folder have the distance `distance_m`.
 ///
 /// # Errors
@@ -229,7 +229,7 @@ fn wrong_arm(
     }
 }
 
-/// By the positions of `stream`; a fixed point has none.
+/// Estimated from the positions of `stream`; a fixed point has none.
 fn competing_arm(
     nominal: &Robot,
     stream: &CalibrationInput,
@@ -389,7 +389,7 @@ fn calibrate_streams(
     let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let joints = chain.joint_names().to_vec();
     let is_off = |joint: &String| streams.iter().any(|stream| stream.zeros.contains(joint));
-    // The base includes the zero of the first joint, the point on the tool that of the last one.
+    // The base includes the zero of the first joint, the point on the tool the zero of the last one.
     let is_inner = |at: usize| (1..joints.len().saturating_sub(1)).contains(&at);
     let fixed_points = streams.iter().all(|one| one.measurement == Measurement::FixedPoint);
     let is_free = |&at: &usize| is_off(&joints[at]) || (fixed_points && is_inner(at));
@@ -466,7 +466,7 @@ fn input_from_stream(
         return Err("it does not follow the arm".to_owned());
     }
     if diagnosis.has_changes() {
-        return Err("a parameter of it changes during the run; cut the log there".to_owned());
+        return Err("a parameter changes during the run; cut the log there".to_owned());
     }
     if let Some(part) = diagnosis.constant_coordinates.first() {
         return Err(format!("its {} never changes", part.coordinate));

@@ -18,11 +18,11 @@ pub(super) struct CalibrationPositions<'a> {
     pub max_lag_s: f64,
 }
 
-/// A catalogue arm and the residual with its nominal links.
+/// A catalogue arm and its residual with nominal links.
 pub(super) struct CompetingArm {
     pub name: String,
     pub residual_m: f64,
-    /// That of the named arm.
+    /// Residual of the named arm.
     pub named_residual_m: f64,
 }
 
@@ -31,12 +31,12 @@ impl CompetingArm {
     pub fn describe(&self, named: &str) -> String {
         let [own, other] = [self.named_residual_m, self.residual_m].map(|it| Unit::Metre.show(it));
         format!(
-            "nominal links of {} fit the positions within {other} rms, those of {named} within {own}",
+            "nominal links of {} fit the positions within {other} rms, {named} within {own}",
             self.name
         )
     }
 
-    /// What to do about it.
+    /// Remedy for the user.
     pub fn remedy(&self) -> String {
         format!("if the arm is a {0}, use --robot {0}", self.name)
     }
