@@ -276,7 +276,7 @@ fn another_arm_is_refused_and_the_one_that_fits_is_named() {
         assert_eq!(output.status.code(), Some(1), "{text}");
         assert!(text.contains("mm from its place"), "{text}");
         assert!(text.contains("nominal links of ur5e fit the positions within"), "{text}");
-        assert!(text.contains("if the arm is a ur5e, use --robot ur5e"), "{text}");
+        assert!(text.contains("if it is that arm, use --robot ur5e"), "{text}");
         assert!(!Path::new(&out).exists(), "{text}");
     }
     let own = call("ur5e");

@@ -38,7 +38,7 @@ impl CompetingArm {
 
     /// Remedy for the user.
     pub fn remedy(&self) -> String {
-        format!("if the arm is a {0}, use --robot {0}", self.name)
+        format!("if it is that arm, use --robot {}", self.name)
     }
 }
 

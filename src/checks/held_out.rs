@@ -18,8 +18,8 @@ use crate::finding::{Outcome, Ruling, Subject};
 /// Evidence key.
 pub(crate) const HELD_OUT: &str = "held_out";
 
-/// Share of the residual; smaller changes do not show in three digits.
-const MIN_CHANGE: f64 = 1e-3;
+/// Of a residual: a share that shows in three digits, and rounding, m or rad.
+const MIN_CHANGE: (f64, f64) = (1e-3, 1e-9);
 
 /// Rules whose cause has no amount: rotations, units, axes, and the order and scale of joints.
 const ENCODINGS: [&str; 8] =
@@ -34,7 +34,9 @@ pub(super) fn with_held_out(case: &Case, rule: &Rule, judged: SubjectResult) -> 
     // A whole turn of a joint changes no pose beyond rounding.
     let changes_poses = |residual: &HeldOutResidual| {
         let mut both = residual.with.into_iter().zip(residual.without);
-        both.any(|(with, without)| (with - without).abs() > MIN_CHANGE * without)
+        both.any(|(with, without)| {
+            (with - without).abs() > (MIN_CHANGE.0 * without).max(MIN_CHANGE.1)
+        })
     };
     match held_out(case, rule, &judged.subject).filter(changes_poses) {
         Some(residual) => judged.with_evidence(HELD_OUT, as_json(&residual)),

@@ -25,7 +25,7 @@ rule! {
     /// - `noise`: effect of encoder resolution, noise and stamp jitter.
     /// - `rate`: rms rate of the positions.
     /// - `kind`: `zero`, `scaled`, `other-joint`, `filtered` or `unlike`.
-    ///   A cause must explain 80 % of the square of the velocities; `unlike` is an error without one.
+    ///   A cause is named if it explains at least 80 % of the squared velocities. `unlike`: no cause does.
     /// - `gain`: velocity at a rate of 1.
     /// - `delay_s`: delay of the velocities (negative: early), with its interval.
     /// - `low_pass_hz`: corner of a first-order low-pass, if it explains more than a delay.

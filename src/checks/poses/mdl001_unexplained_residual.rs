@@ -118,7 +118,8 @@ fn judge_not_following(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Option
         _ => None,
     };
     let reference = stream.iter().find_map(not_following)?;
-    let whose = reference.map_or("the tool's".to_owned(), |of| format!("of the body of '{of}'"));
+    let whose =
+        reference.map_or("the tool's".to_owned(), |of| format!("on the same body as '{of}'"));
     let why = format!(
         "not compared: its motion does not show that it is {whose}; set role = \"pose\" or role = \"ignored\" in \
          [stream.\"{}\"] of poseaudit.toml",

@@ -341,8 +341,8 @@ fn are_micros(seconds: impl Iterator<Item = f64>, nanos: impl Iterator<Item = f6
     (MIN_LARGEST..MICROS_PER_SECOND).contains(&largest) && rows >= MIN_ROWS_PER_SECOND * changes
 }
 
-/// Takes the only column whose numbers increase evenly, or by which velocities give the changes of positions. Copies in another unit or with another zero count
-/// as the same column.
+/// Selects the only column that increases evenly, or whose steps times the recorded velocities give the changes of
+/// positions. Copies in another unit or with another zero count as the same column.
 fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
     /// More increasing columns, copies included, are ramps rather than clocks.
     const MAX_INCREASING_COLUMNS: usize = 2;
@@ -392,8 +392,9 @@ fn clock_by_values(table: &Table) -> Result<Clock, ClockError> {
                 continue;
             }
             alike += 1;
-            let is_known =
-                found.iter().any(|(_, other, _)| is_linear_in(&other.values, &own.values));
+            let is_known = found.iter().any(|(_, other, other_is_confirmed)| {
+                *other_is_confirmed >= is_confirmed && is_linear_in(&other.values, &own.values)
+            });
             if !is_known {
                 found.push((clock, own, is_confirmed));
             }

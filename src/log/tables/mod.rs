@@ -256,20 +256,27 @@ impl Table {
         let all: Vec<&Column> = self.columns.iter().chain(&self.times).collect();
         let is_time = |column: &Column| column.width == 1 && clock::is_time(&column.name);
         let times = self.columns.iter().filter(|column| is_time(column)).chain(&self.times);
-        let ends: Vec<(usize, &Column)> =
-            times.map(|column| (zeros_from(&[column]), column)).collect();
-        // Nanoseconds after whole seconds may be zero.
-        let increases = |(end, column): &(usize, &Column)| {
-            column.values.iter().take(*end).is_sorted_by(|one, next| one <= next)
+        let mut has_times = false;
+        let end_of_times = |column: &Column| {
+            has_times = true;
+            let end = zeros_from(&[column]);
+            let mut before = column.values.iter().take(end);
+            // Nanoseconds after whole seconds may be zero.
+            let increases = before.clone().is_sorted_by(|one, next| one <= next);
+            // Times that end at their zero are complete.
+            let is_negative = before.next_back().is_some_and(|last| *last < 0.0);
+            increases.then_some(if is_negative { self.rows } else { end })
         };
+        // Other times may be of a topic that ended before.
+        let latest = times.filter_map(end_of_times).max();
         // Velocities in a file of their own may end with zeros.
-        let is_alone = !ends.is_empty() || !self.is_one_of_several;
-        let ends = ends.into_iter().filter(increases).map(|(end, _)| end);
+        let is_alone = has_times || !self.is_one_of_several;
+        let ends = latest.into_iter();
         let ends = ends.chain(is_alone.then(|| zeros_from(&all)));
         // Numbers that are always zero state nothing.
         let Some(rows) = ends.filter(|end| (1..self.rows).contains(end)).min() else { return };
         self.notes.push(format!(
-            "its last {} rows of {} hold zeros, as an array that is made in advance, and are left out",
+            "left out the last {} of {} rows: they hold zeros, as in a preallocated array",
             self.rows - rows,
             self.rows
         ));
@@ -280,6 +287,7 @@ impl Table {
         }
         self.lines.truncate(rows);
         self.exact_times.values_mut().for_each(|times| times.truncate(rows));
+        self.labels.iter_mut().for_each(|own| own.rows.truncate(rows));
     }
 
     fn column_names(&self) -> Vec<String> {

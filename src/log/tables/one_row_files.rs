@@ -15,7 +15,7 @@ use crate::intake::Intake;
 
 /// Fewer files may be separate runs.
 const MIN_FILES: usize = 3;
-/// Of all files together; images and runs are larger.
+/// Maximum size of all files together; images and runs are larger.
 const MAX_BYTES: u64 = 1 << 26;
 
 /// Replaces files with one row each by one table.
@@ -29,7 +29,9 @@ pub(crate) fn join_inputs(inputs: Vec<LogInput>, intake: &mut Intake) -> Vec<Log
     let Some(rows) = JoinedRows::of(&inputs) else { return inputs };
     let paths: Vec<&Path> = inputs.iter().map(|input| input.path.as_path()).collect();
     let is_common = |folder: &&Path| {
-        !folder.as_os_str().is_empty() && paths.iter().all(|path| path.starts_with(folder))
+        !folder.as_os_str().is_empty()
+            && folder.parent().is_some()
+            && paths.iter().all(|path| path.starts_with(folder))
     };
     let common = paths[0].ancestors().skip(1).find(is_common).unwrap_or(paths[0]);
     vec![rows.into_input(common, intake)]
@@ -43,7 +45,8 @@ pub(crate) struct JoinedRows {
 }
 
 impl JoinedRows {
-    /// Of the files in a folder, or in its folders, whose names differ in numbers only. `None` unless there is one such set.
+    /// Joins files of a folder, or of its subfolders, whose names differ only in numbers. `None` unless exactly one such set
+    /// exists.
     pub fn in_folder(folder: &Path) -> Option<Self> {
         let mut within = Containment::new(folder);
         let mut entries = |folder: &Path| -> Vec<PathBuf> {
@@ -53,8 +56,8 @@ impl JoinedRows {
         let (folders, files): (Vec<PathBuf>, Vec<PathBuf>) =
             entries(folder).into_iter().partition(|path| path.is_dir());
         let nested = folders.iter().flat_map(|folder| entries(folder));
-        let nested: Vec<PathBuf> = nested.filter(|path| path.is_file()).collect();
-        [files, nested].into_iter().find_map(|files| {
+        let regular = |paths: Vec<PathBuf>| paths.into_iter().filter(|path| path.is_file());
+        [regular(files), regular(nested.collect())].into_iter().find_map(|files| {
             let mut sets: BTreeMap<String, Vec<LogInput>> = BTreeMap::new();
             for path in files {
                 let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy();
@@ -73,7 +76,7 @@ impl JoinedRows {
             return None;
         }
         let mut inputs: Vec<&LogInput> = inputs.iter().collect();
-        inputs.sort_by_cached_key(|input| natural_key(&input.path));
+        inputs.sort_by_cached_key(|input| (natural_key(&input.path), input.path.clone()));
         let mut rows: Vec<FileRow> = Vec::new();
         for input in &inputs {
             let row = FileRow::parse(input.open().ok()?.bytes())?;
@@ -96,8 +99,9 @@ impl JoinedRows {
     /// As the table at `path`, with a note.
     pub fn into_input(self, path: &Path, intake: &mut Intake) -> LogInput {
         let name = |file: &Path| {
-            let name = file.strip_prefix(path).unwrap_or(file);
-            name.display().to_string()
+            // The first file, if the files have no folder.
+            let name = file.strip_prefix(path).ok().filter(|name| !name.as_os_str().is_empty());
+            name.unwrap_or(file).display().to_string()
         };
         let [first, last] = self.ends.each_ref().map(|file| name(file));
         let count = self.count;

@@ -348,8 +348,8 @@ fn read_document(document: Value, context: &mut ReadContext) -> Result<Episodes,
     records.finish(context)
 }
 
-/// Makes a list of each member whose keys are consecutive numbers from 0 or 1, as in `{"hand": {"1": …, "2": …}}`. These are
-/// rows, unless the members themselves are numbered alike.
+/// Makes a list of each member whose keys are consecutive numbers from 0 or 1, as in `{"hand": {"1": …, "2": …}}` and in
+/// tables that pandas writes. These are rows, unless the members themselves are numbered, and more than the rows.
 fn with_numbered_lists(mut document: Value) -> Value {
     let Value::Object(members) = &mut document else { return document };
     let is_numbered = |value: &Value| value.as_object().is_some_and(has_numbers_as_keys);
@@ -357,7 +357,9 @@ fn with_numbered_lists(mut document: Value) -> Value {
     let keys: Vec<&String> =
         members.iter().filter(|(_, value)| is_numbered(value)).map(|(key, _)| key).collect();
     let stems: BTreeSet<String> = keys.iter().map(|key| stem(key)).collect();
-    if stems.len() < keys.len() {
+    let lengths = members.values().filter(|value| is_numbered(value));
+    let lengths = lengths.filter_map(|value| Some(value.as_object()?.len()));
+    if stems.len() < keys.len() && lengths.max().unwrap_or(0) <= keys.len() {
         return document;
     }
     for value in members.values_mut().filter(|value| is_numbered(value)) {

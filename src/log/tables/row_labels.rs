@@ -1,13 +1,13 @@
 //! Long tables: a column names the arm or body that each row is of, such as `arm` or `rigid_id`.
 
 use super::{Cell, Table};
-use ground::stats::median;
+use ground::stats::{mean, median};
 use ground::stream::is_usable;
 
 /// Streams that one table may hold. Columns with more values are measurements or free text.
 const MAX_LABELS: usize = 16;
 
-/// The different values of a column, and the rows that have one, until there are too many values.
+/// Distinct values of a column and the rows that have them. Stops at more than [`MAX_LABELS`] values.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Levels<T> {
     known: Vec<T>,
@@ -52,11 +52,13 @@ impl<T: Clone + PartialEq> Levels<T> {
 
     /// `None` if there are too many values for labels, or only one.
     fn to_labels(&self, rows: usize, name: impl Fn(&T) -> String) -> Option<RowLabels> {
+        if self.known.len() < 2 || self.are_too_many() {
+            return None;
+        }
         let mut labels = vec![None; rows];
         self.rows.iter().for_each(|(row, at)| labels[*row] = Some(*at));
         let values = self.known.iter().map(name).collect();
-        let own = RowLabels { values, rows: labels, ..RowLabels::default() };
-        (self.known.len() > 1 && !self.are_too_many()).then_some(own)
+        Some(RowLabels { values, rows: labels, ..RowLabels::default() })
     }
 }
 
@@ -87,9 +89,13 @@ impl RowLabels {
 
     /// Whole numbers, such as identifiers.
     fn of_numbers(table: &Table, cell: Cell) -> Option<Self> {
+        let numbers = || table.columns[cell.column].numbers(cell.part);
+        let first = numbers().next()?;
+        if numbers().all(|number| number == first || number.is_nan()) {
+            return None;
+        }
         let mut levels = Levels::default();
-        let numbers = table.columns[cell.column].numbers(cell.part).enumerate();
-        for (row, number) in numbers.filter(|(_, number)| !number.is_nan()) {
+        for (row, number) in numbers().enumerate().filter(|(_, number)| !number.is_nan()) {
             if number.fract() != 0.0 || levels.are_too_many() {
                 return None;
             }
@@ -111,8 +117,9 @@ impl RowLabels {
         let cells =
             columns.flat_map(|(column, own)| (0..own.width).map(move |part| Cell { column, part }));
         let of_numbers = cells.filter_map(|cell| Self::of_numbers(table, cell));
-        let candidates = table.labels.iter().cloned().chain(of_numbers);
-        let mut candidates: Vec<Self> = candidates.filter(Self::are_interleaved).collect();
+        let of_texts = table.labels.iter().filter(|own| own.are_interleaved()).cloned();
+        let mut candidates: Vec<Self> =
+            of_texts.chain(of_numbers.filter(Self::are_interleaved)).collect();
         candidates.sort_by_key(|own| std::cmp::Reverse(own.values.len()));
         candidates.into_iter().find(|own| {
             let is_apart = |cell: &&Cell| own.cell != Some(**cell) && own.separates(table, **cell);
@@ -164,8 +171,12 @@ impl RowLabels {
         let (Some(step), Some(jump)) = (median(&mut within), median(&mut between)) else {
             return false;
         };
+        // The median is 0 if most values repeat.
+        let step = step.max(mean(within.iter().copied()));
         let range = ranges.iter().map(|[low, high]| high - low).fold(0.0, f64::max);
-        has_enough && jump > MIN_STEP_RATIO * step && range > MIN_RANGE_STEPS * step
+        // A number that is constant in some rows is missing there, and the label says so, as `valid` does.
+        let all_change = self.cell.is_none() || ranges.iter().all(|[low, high]| low != high);
+        has_enough && all_change && jump > MIN_STEP_RATIO * step && range > MIN_RANGE_STEPS * step
     }
 
     /// The streams; `None` for rows without a label.
@@ -208,6 +219,11 @@ mod tests {
         // One of four rows is of the second stream.
         let rare = |row: usize| f64::from(u8::from(row % 4 == 3));
         assert!(are_streams(rare, |row, at| wave(row, at) + 0.5 * rare(row)));
+        // Whether a pose is valid, or new, in a table that repeats poses.
+        let valid = |row: usize| f64::from(u8::from(row % 7 != 3));
+        assert!(!are_streams(valid, |row, at| valid(row) * (2.0 + wave(row, at))));
+        let new = |row: usize| f64::from(u8::from(row.is_multiple_of(5)));
+        assert!(!are_streams(new, |row, at| wave(row / 5, at)));
         // A bit that toggles, phases, two stations, and numbers that are not whole.
         assert!(!are_streams(parity, wave));
         let phase = |row: usize| (row / 20 % 2) as f64;

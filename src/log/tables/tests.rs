@@ -1058,9 +1058,19 @@ fn rows_of_zeros_at_the_end_are_left_out() {
         };
         let log = plain(csv(&names, 40, cell).as_bytes());
         assert_eq!(joints(&log, "q").1.len(), rows);
-        let notes = log.notes.iter().filter(|note| note.what.contains("last 10 rows of 40"));
+        let notes = log.notes.iter().filter(|note| note.what.contains("last 10 of 40 rows"));
         assert_eq!(notes.count(), usize::from(rows == 30), "{:?}", log.notes);
     }
+    // A camera that stopped before, and times that end at their zero.
+    let cell = |row: usize, at: usize| match at {
+        0 => 0.01 * row as f64 - 0.39,
+        1 if row >= 30 => 0.0,
+        1 => 0.01 * (row + 1) as f64,
+        _ => q(row, at),
+    };
+    let names = ["t", "camera_timestamp", "q1", "q2", "q3", "q4"];
+    let log = plain(csv(&names, 40, cell).as_bytes());
+    assert!(log.notes.iter().all(|note| !note.what.contains("zeros")), "{:?}", log.notes);
 }
 
 #[test]

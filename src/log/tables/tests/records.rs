@@ -124,8 +124,14 @@ fn consecutive_numbers_as_keys_are_rows() {
     };
     let times = numbered(&|row| json!(0.01 * row as f64));
     let joints = numbered(&|row| json!(q(row)));
-    let text = json!({"robot": "arm", "time": times, "joint_positions": joints}).to_string();
+    let text = json!({"robot": "arm", "time": &times, "joint_positions": joints}).to_string();
     assert_has_joints(text.as_bytes(), "joint_positions", "json");
+    // As pandas writes a table.
+    let columns =
+        (0..6).map(|joint| (format!("q{}", joint + 1), numbered(&|row| json!(q(row)[joint]))));
+    let columns = columns.chain([("time".to_owned(), times)]);
+    let text = serde_json::Value::Object(columns.collect()).to_string();
+    assert_has_joints(text.as_bytes(), "q", "json");
     // Rows that are numbered alike have numbered columns.
     let record = |row: usize| {
         let numbers = std::iter::once(0.01 * row as f64).chain(q(3 * row));
