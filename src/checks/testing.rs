@@ -217,7 +217,6 @@ fn commands() -> ReferenceEvidence {
     ReferenceEvidence {
         is_of_joints: false,
         is_tip_declared: true,
-        is_of_reference_body: false,
         is_frame_declared: true,
         tip_poses: vec![
             tip_pose_source("FK of the joint states", TipPoseKind::Kinematics),
@@ -332,6 +331,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         reference_known: true,
         tip: "tool0".to_owned(),
         is_tip_declared: true,
+        is_of_reference_body: false,
         source_kind: PoseSourceKind::Unknown,
         proof: Ok(residual_check_of(1e-5, 1e-5)),
         has_independent_stamps,

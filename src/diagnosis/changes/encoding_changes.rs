@@ -187,8 +187,8 @@ impl Segments {
         Some(Self { longest, others })
     }
 
-    /// What puts the run into the encodings of its longest segment: corrections of joints, and decoded poses of the streams
-    /// whose encoding changes.
+    /// Corrections that convert the run to the encodings of its longest segment: joint patches, and decoded poses of the
+    /// streams whose encoding changes.
     fn encoded_alike(&self, run: &SplitRun) -> (Vec<JointPatch>, Vec<Option<PoseTrack>>) {
         let patches = self.others.iter().flat_map(|other| self.longest.patches(other, run));
         let track = |s: usize| {

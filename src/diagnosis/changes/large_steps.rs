@@ -99,13 +99,11 @@ fn frames_and_zeros(
     (frames, zeros)
 }
 
-/// Steps of frames, changes of joint zeros, and each stream's decoded poses without the steps of its frames. `None` if no
-/// step is large.
-fn large_steps(
-    segments: &Segments,
-    jumps: &[Jump],
-    run: &SplitRun,
-) -> Option<(Vec<FrameStep>, Vec<Change>, Vec<Option<PoseTrack>>)> {
+/// Steps of frames, changes of joint zeros, and each stream's decoded poses without the steps of its frames.
+type LargeSteps = (Vec<FrameStep>, Vec<Change>, Vec<Option<PoseTrack>>);
+
+/// `None` if no step is large.
+fn large_steps(segments: &Segments, jumps: &[Jump], run: &SplitRun) -> Option<LargeSteps> {
     let of_joints = jumps_in_joints(run.arm.joints);
     let streams = 0..run.arm.streams.len();
     let (mut frame_steps, mut zero_changes) = (Vec::new(), Vec::new());

@@ -309,6 +309,9 @@ fn joint_errors(
     };
     let rows =
         joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
+    if rows.len() < 2 {
+        return Vec::new();
+    }
     let error = |column: usize| {
         let errors = rows.clone().map(|row| joints.row(row)[column] - commanded[column]);
         (column, mean_of(&errors.collect::<Vec<f64>>()))

@@ -357,7 +357,7 @@ impl<'a> EncodingSearch<'a> {
             false => 0.0,
         });
         let samples = self.fk.len() as f64;
-        // Keeps an unobservable tool at zero, and what is not free.
+        // Keeps an unobservable tool and parameters that are not free at zero.
         let ridge = SVector::<f64, 7>::from_fn(|at, _| match at {
             _ if !is_free(at) => 1.0,
             0 => 0.0,

@@ -208,7 +208,11 @@ impl RotationSamples<'_> {
     fn candidates(&self, encoding: PoseEncoding) -> CandidateRotations {
         let mut candidates = CandidateRotations::default();
         let mut decoder = RotationDecoder::new(encoding, self.after, self.logged);
-        (0..self.fk.len()).for_each(|sample| candidates.push(decoder.candidates(sample)));
+        let count = match self.logged {
+            LoggedRotations::Rotations(rotations) => rotations.len(),
+            LoggedRotations::Numbers(numbers) => numbers.len(),
+        };
+        (0..count).for_each(|sample| candidates.push(decoder.candidates(sample)));
         candidates
     }
 }

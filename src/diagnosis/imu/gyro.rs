@@ -331,7 +331,7 @@ impl GyroModel<'_> {
         likely.into_iter().map(|(columns, _)| columns).collect()
     }
 
-    /// `None` without one, and if the motion does not show all of it.
+    /// `None` without a scale error, or if part of it is not observable in this motion.
     fn scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
         let value = |column: usize| self.scale[column - Self::SCALE_ENTRIES.start];
         let columns = self.scale_columns.clone();

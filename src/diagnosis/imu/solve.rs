@@ -87,7 +87,7 @@ impl Excited {
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
             let alone =
                 own_columns.tr_mul(&squares) * &own_columns - across.tr_mul(&(between * &across));
-            let by_noise = own_columns.tr_mul(&design_noise) * &own_columns;
+            let by_noise = own_columns.tr_mul(design_noise) * &own_columns;
             let eigen = (alone - by_noise / Self::MAX_NOISE_SHARE).symmetric_eigen();
             for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
                 let direction = &own_columns * direction;
@@ -103,7 +103,7 @@ impl Excited {
             }
         }
         let basis = columns(width, &basis);
-        let noise = basis.tr_mul(&design_noise) * &basis;
+        let noise = basis.tr_mul(design_noise) * &basis;
         let prior = basis.tr_mul(&precision) * &basis;
         Self { free, basis, fixed, noise, prior }
     }

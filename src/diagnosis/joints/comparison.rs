@@ -17,6 +17,8 @@ pub(super) const MAX_RESIDUAL_RAD: f64 = 0.03;
 pub(crate) const MAX_FOLLOWING_RESIDUAL_SHARE: f64 = 0.3;
 /// Spread of the positions of a tip at rest.
 pub(super) const MAX_REST_SPREAD_M: f64 = 2e-3;
+/// Between latencies that are tried.
+pub(super) const MIN_LAG_DIFFERENCE_S: f64 = 0.01;
 
 #[derive(Clone, Copy)]
 pub(crate) struct JointComparison<'a> {
@@ -46,7 +48,7 @@ impl JointComparison<'_> {
         // Speeds as logged, and normalised per joint.
         for units in [vec![1.0; joints.dof], rms_speeds(joints)] {
             for lag_s in joint_speed_lags(joints, &units, &speed, max_lag_s) {
-                if lags.iter().all(|other_s| (lag_s - other_s).abs() > 0.01) {
+                if lags.iter().all(|other_s| (lag_s - other_s).abs() > MIN_LAG_DIFFERENCE_S) {
                     lags.push(lag_s);
                 }
             }

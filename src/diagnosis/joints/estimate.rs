@@ -2,7 +2,7 @@
 
 use super::comparison::{
     JointComparison, MAX_FOLLOWING_RESIDUAL_SHARE, MAX_LOGGED_RESIDUAL_SHARE, MAX_RESIDUAL_RAD,
-    MAX_REST_SPREAD_M, MIN_SAMPLES,
+    MAX_REST_SPREAD_M, MIN_LAG_DIFFERENCE_S, MIN_SAMPLES,
 };
 use super::encoding::JointEncoding;
 use super::interpretation::JointInterpretation;
@@ -107,7 +107,8 @@ impl JointComparison<'_> {
             false => &InterpretationKind::FOR_SMALL_RESIDUALS[..],
         };
         // The latency of a wrong model may be wrong.
-        let others = self.lags_s().into_iter().map(|lag_s| self.samples(lag_s));
+        let is_other = |other_s: &f64| (other_s - lag_s).abs() > MIN_LAG_DIFFERENCE_S;
+        let others = self.lags_s().into_iter().filter(is_other).map(|lag_s| self.samples(lag_s));
         let views: Vec<Vec<InterpretedPoses>> = std::iter::once(samples)
             .chain(others.filter(|samples| samples.len() >= MIN_SAMPLES))
             .map(|samples| {
@@ -195,23 +196,25 @@ fn best_of_kind(
     /// Other lags are tried only for the simplest kind.
     const LAGS_FOR_ALL_KINDS: usize = 2;
     let lags = if kind == InterpretationKind::OneJoint { views.len() } else { LAGS_FOR_ALL_KINDS };
-    let mut ambiguous_m = f64::INFINITY;
+    // Residual below which another lag is clearly better, and whether rotations are ambiguous.
+    let (mut max_m, mut are_turns_ambiguous) = (f64::INFINITY, false);
     for view in views.iter().take(lags).flatten() {
         match search_kind(view, kind, freedom, max_residual) {
             SearchOutcome::Found(found)
-                if found.residual.combined_m(view.lever_m) < ambiguous_m =>
+                if found.residual.combined_m(view.lever_m) < max_m
+                    && (view.rotation.is_some() || !are_turns_ambiguous) =>
             {
                 return SearchOutcome::Found(found);
             }
-            // At another lag, one may clearly be best.
             SearchOutcome::Ambiguous(residual_m) => {
-                ambiguous_m = ambiguous_m.min(residual_m / MIN_RESIDUAL_RATIO);
+                max_m = max_m.min(residual_m / MIN_RESIDUAL_RATIO);
+                are_turns_ambiguous |= view.rotation.is_some();
             }
             SearchOutcome::Found(_) | SearchOutcome::Nothing => {}
         }
     }
-    match ambiguous_m.is_finite() {
-        true => SearchOutcome::Ambiguous(ambiguous_m),
+    match max_m.is_finite() {
+        true => SearchOutcome::Ambiguous(MIN_RESIDUAL_RATIO * max_m),
         false => SearchOutcome::Nothing,
     }
 }

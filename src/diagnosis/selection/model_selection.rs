@@ -171,8 +171,8 @@ impl Linearized {
         self.equations.streams.iter().map(|stream| stream.own_part(&step)).collect()
     }
 
-    /// [`Normal::separation`] of parameters that have an effect. Without damping, which counts as much as the samples if their
-    /// noise is strongly correlated.
+    /// [`Normal::separation`] of the parameters that have an effect, without the damping: if the noise is strongly
+    /// correlated, the damping outweighs the samples.
     pub fn separation(&self, parameters: &[usize]) -> f64 {
         let damping = &self.equations.prior;
         let information = &self.normal.matrix - damping;

@@ -202,9 +202,8 @@ impl LinkFrameChanges {
         SIZES.map(|size| self.price_at(size)).into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// For deviations of `size` times the usual ones: squares in prior standard deviations, plus the log determinant of
-    /// posterior over prior precision, minus that of parameters free without a calibration, plus the cost of the larger
-    /// residual.
+    /// For deviations of `size` times the usual ones, the sum of: the squared changes in prior standard deviations; the log
+    /// determinant of posterior over prior precision, except for free parameters; the increase of the residual's cost.
     fn price_at(&self, size: f64) -> f64 {
         let Self { fit: ReweightedFit { step, normal: fitted, .. }, usual, .. } = self;
         let all: Vec<usize> = (0..usual.len()).collect();

@@ -21,7 +21,7 @@ pub(crate) struct Linear {
     design: Vec<f64>,
     /// Upper triangle of `AᵀA` of each kind, computed on first use.
     squares: OnceLock<Vec<DMatrix<f64>>>,
-    /// Of each sample; empty without joints.
+    /// Place of each sample. Empty if recurring errors are not considered.
     pub places: Places,
 }
 

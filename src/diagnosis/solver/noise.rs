@@ -46,8 +46,8 @@ impl Noise {
 
     /// Inflation for a mean of squares of normal noise (`1 + 2·Σ (γ(k)/γ(0))²`).
     pub fn inflation_of_squares(&self) -> f64 {
-        let Self { share, rho, .. } = *self;
-        1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
+        let Self { share, rho, recurrence, .. } = *self;
+        1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho) + recurrence
     }
 
     /// Estimates the noise of three components per sample, all of weight 1. `sigma` is at least `floor`.

@@ -13,6 +13,8 @@ const CELL: f64 = 0.02;
 #[derive(Clone, Default)]
 pub(crate) struct Places {
     indices: HashMap<Vec<i32>, usize>,
+    /// Number of places.
+    count: usize,
     of_sample: Vec<usize>,
 }
 
@@ -23,7 +25,7 @@ struct Visits {
     /// Weighted sum of the residuals, and of the weights.
     current: (Vec3, f64),
     all: (Vec3, f64),
-    /// Squares of the sums of each visit before the current one.
+    /// Sums over the finished visits: the squared sum of residuals, and the squared weight.
     squares: (f64, f64),
 }
 
@@ -43,25 +45,23 @@ impl Places {
         let cell: Vec<i32> = q.iter().map(|q| (q / CELL).floor() as i32).collect();
         let next = self.indices.len();
         self.of_sample.push(*self.indices.entry(cell).or_insert(next));
+        self.count = self.indices.len();
     }
 
     pub fn subset(&self, samples: &[usize]) -> Self {
         let of_sample = samples.iter().filter_map(|&at| self.of_sample.get(at).copied()).collect();
-        Self { of_sample, indices: self.indices.clone() }
+        Self { of_sample, count: self.count, indices: HashMap::new() }
     }
 
-    /// Inflation of the variance of a mean by recurring errors, in addition to that of `noise`: the covariance of a
-    /// residual with all residuals of other visits to its place, of the variance. 0 if it may be chance.
+    /// Inflation of the variance of a mean by recurring errors, in addition to that of `noise`: sum of the covariances of a
+    /// residual with those of other visits to its place, relative to the variance. 0 if not significant.
     pub fn inflation(&self, residual: &[Vec3], weights: &[f64], noise: &Noise) -> f64 {
         /// In standard errors, as for autocorrelation.
         const MAX_CHANCE: f64 = 3.0;
         /// In time constants of the autocorrelation.
         const MIN_ABSENCE: f64 = 3.0;
-        if self.indices.len() == self.of_sample.len() {
-            return 0.0;
-        }
         let lasts = if noise.share > 0.0 { MIN_ABSENCE / (1.0 - noise.rho) } else { 1.0 };
-        let mut places = vec![Visits::default(); self.indices.len()];
+        let mut places = vec![Visits::default(); self.count];
         for (sample, (&place, (r, w))) in
             self.of_sample.iter().zip(residual.iter().zip(weights)).enumerate()
         {
