@@ -65,12 +65,12 @@ impl JointComparison<'_> {
             rad: Some(MAX_RESIDUAL_RAD),
         };
         match self.simplest(&at_lags, max_residual, &InterpretationKind::ALL) {
-            Some(found) => Ok(self.encoding_of(&found, as_logged)),
+            SearchOutcome::Found(found) => Ok(self.encoding_of(&found, as_logged)),
             // No encoding is clearly best.
-            None if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent => {
+            _ if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent => {
                 Err(NotObservable::NotExcited)
             }
-            None => Ok(JointEncoding::default()),
+            _ => Ok(JointEncoding::default()),
         }
     }
 
@@ -106,18 +106,20 @@ impl JointComparison<'_> {
             true => &InterpretationKind::ALL[..],
             false => &InterpretationKind::FOR_SMALL_RESIDUALS[..],
         };
-        // The latency of a wrong model may be wrong.
-        let is_other = |other_s: &f64| (other_s - lag_s).abs() > MIN_LAG_DIFFERENCE_S;
-        let others = self.lags_s().into_iter().filter(is_other).map(|lag_s| self.samples(lag_s));
-        let views: Vec<Vec<InterpretedPoses>> = std::iter::once(samples)
-            .chain(others.filter(|samples| samples.len() >= MIN_SAMPLES))
-            .map(|samples| {
-                let mut views = samples.views();
-                views.retain(|view| !turns_only || view.rotation.is_some());
-                views
-            })
-            .collect();
-        let found = self.simplest(&views, max_residual, kinds)?;
+        let is_used = |view: &InterpretedPoses| !turns_only || view.rotation.is_some();
+        let mut views: Vec<Vec<InterpretedPoses>> =
+            vec![samples.views().into_iter().filter(is_used).collect()];
+        let mut outcome = self.simplest(&views, max_residual, kinds);
+        if matches!(outcome, SearchOutcome::Ambiguous(_)) {
+            // The latency of a wrong model may be wrong.
+            let is_other = |other_s: &f64| (other_s - lag_s).abs() > MIN_LAG_DIFFERENCE_S;
+            let others =
+                self.lags_s().into_iter().filter(is_other).map(|lag_s| self.samples(lag_s));
+            let others = others.filter(|samples| samples.len() >= MIN_SAMPLES);
+            views.extend(others.map(|own| own.views().into_iter().filter(is_used).collect()));
+            outcome = self.simplest(&views, max_residual, kinds);
+        }
+        let SearchOutcome::Found(found) = outcome else { return None };
         Some(self.encoding_of(&found, as_logged.m))
     }
 
@@ -158,7 +160,7 @@ impl JointComparison<'_> {
         views: &[Vec<InterpretedPoses>],
         max_residual: ResidualSize,
         kinds: &[InterpretationKind],
-    ) -> Option<JointInterpretation> {
+    ) -> SearchOutcome {
         let freedoms: &[FreeFrames] = match self.stream.reference_known {
             true => &[FreeFrames::Tool, FreeFrames::Both],
             false => &[FreeFrames::Both],
@@ -175,14 +177,14 @@ impl JointComparison<'_> {
                 match best_of_kind(views, kind, freedom, max_residual) {
                     SearchOutcome::Found(found) => {
                         let map = found.map.with_base_turned();
-                        return Some(JointInterpretation { map, ..found });
+                        return SearchOutcome::Found(JointInterpretation { map, ..found });
                     }
-                    SearchOutcome::Ambiguous(_) => return None,
+                    ambiguous @ SearchOutcome::Ambiguous(_) => return ambiguous,
                     SearchOutcome::Nothing => {}
                 }
             }
         }
-        None
+        SearchOutcome::Nothing
     }
 }
 
