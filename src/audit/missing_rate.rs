@@ -21,7 +21,7 @@ pub(crate) fn open(options: &Options) -> Result<Log, Trouble> {
     log::open(&options.logs, &options.read).map_err(|error| with_columns(error, options))
 }
 
-/// Opens a log to list its topics. If the rows of a table have no times, their stamps are those of an assumed rate, and
+/// Opens a log to list its topics. If the rows of a table have no times, they are stamped at an assumed rate, and
 /// the error of [`open`] is returned as well.
 ///
 /// # Errors

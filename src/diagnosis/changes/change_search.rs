@@ -1,7 +1,7 @@
 //! Search for the likeliest changes.
 //!
 //! Several searches add one change after another, each among other kinds of changes. Their results compete by their
-//! likelihood, with the same weights for all of them. Changes that later ones make needless are removed.
+//! likelihood, with the same weights for all. Changes that later ones make needless are removed.
 
 use super::change::{Change, Subject};
 use super::change_fit::{Candidate, Equations, Weights};
@@ -26,8 +26,8 @@ pub(super) fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Optio
     let mut found = Vec::new();
     ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
     found.retain(|(it, _)| !it.changes.iter().any(|change| jumps.is_rounding(change)));
-    // With its own noise, a candidate that leaves a correlated residual would score less than one that leaves a larger
-    // white residual.
+    // With its own noise, a candidate with a correlated residual would score less than a candidate with a larger white
+    // residual.
     let weights = found.iter().map(|(_, weights)| weights);
     let noise = weights.min_by(|a, b| sigma_m(a).total_cmp(&sigma_m(b)))?.clone();
     let scored =

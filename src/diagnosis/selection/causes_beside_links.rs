@@ -1,4 +1,4 @@
-//! Which causes exceed the effect of link deviations, and how accurate they are beside them.
+//! Causes that exceed the effect of link deviations, and their accuracy together with link deviations.
 
 use super::deviation_model::{AdditionalCauses, DeviationFit, DeviationModel};
 use super::model_selection::Cause;
@@ -56,7 +56,7 @@ pub(crate) fn errors_beside_links<const N: usize>(
 
 /// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
-/// All links deviate alike, because one that deviates much more is a wrong frame, if it is the first or the last. A radial
+/// All links have the same prior: a first or last link that deviates much more is a wrong frame. A radial
 /// scale must also exceed the deviation of any one link.
 ///
 /// The state of the stream excludes the causes.
@@ -98,7 +98,7 @@ pub(crate) fn causes_beyond_link_deviations(
     retained
 }
 
-/// The joint zero that is likelier than `frame` and than neither, beside the other `causes` and usual link deviations. In
+/// The joint zero that is likelier than `frame` and than neither, with the other `causes` and usual link deviations. In
 /// a small motion, any zero moves the tip as a tool does, but only in one direction.
 ///
 /// The streams are linearised about `state`, which excludes the causes and the frame.
@@ -128,8 +128,8 @@ pub(crate) fn zero_instead_of_frame(
 }
 
 impl DeviationModel {
-    /// Share of a fit in the covariance of a frame. Its own link deviates as well. The zero of the last joint is that of the
-    /// model, because the tool may equal it.
+    /// Share of a fit in the covariance of a frame. Its own link deviates as well. The zero of the last joint is
+    /// fixed, because the tool may equal it.
     fn frame_covariance(&self, (weight, fit): &(f64, DeviationFit), first: usize) -> Matrix6<f64> {
         let last_zero = self.zero_at(self.joints.saturating_sub(1));
         let columns: Vec<usize> = (first..first + 6).chain([last_zero]).collect();

@@ -1,12 +1,12 @@
 //! Errors that recur with the configuration. Deviating links, gears, coarse encoders and rounded positions have the same
-//! error whenever the arm returns to a place, however much later. A repeated motion then hardly adds information, which
-//! the autocorrelation of [`super::noise`] does not show.
+//! error whenever the arm returns to a place, however much later. Repeating a motion then adds little information. The
+//! autocorrelation in [`super::noise`] does not show this.
 
 use super::noise::Noise;
 use ground::geometry::Vec3;
 use std::collections::HashMap;
 
-/// Configurations in the same cell are one place, rad or m. Such errors change little within a degree.
+/// Width of a cell of configurations, which is one place, rad or m. Such errors change little within a degree; not calibrated.
 const CELL: f64 = 0.02;
 
 /// Place of each sample.
@@ -53,12 +53,12 @@ impl Places {
         Self { of_sample, count: self.count, indices: HashMap::new() }
     }
 
-    /// Inflation of the variance of a mean by recurring errors, in addition to that of `noise`: sum of the covariances of a
-    /// residual with those of other visits to its place, relative to the variance. 0 if not significant.
+    /// Inflation of the variance of a mean by recurring errors, in addition to that of `noise`: the covariances of a
+    /// residual with all residuals of other visits to its place, relative to the variance. 0 if not significant.
     pub fn inflation(&self, residual: &[Vec3], weights: &[f64], noise: &Noise) -> f64 {
         /// In standard errors, as for autocorrelation.
         const MAX_CHANCE: f64 = 3.0;
-        /// In time constants of the autocorrelation.
+        /// In time constants of the autocorrelation, which then falls to 5 %.
         const MIN_ABSENCE: f64 = 3.0;
         let lasts = if noise.share > 0.0 { MIN_ABSENCE / (1.0 - noise.rho) } else { 1.0 };
         let mut places = vec![Visits::default(); self.count];
@@ -97,7 +97,7 @@ mod tests {
     const CYCLES: usize = 40;
     const SAMPLES: usize = 50;
 
-    /// Inflation for a motion of many cycles, with an error of `recurring` in each place beside white noise of 1.
+    /// Inflation for a motion of many cycles, with an error of `recurring` in each place and white noise of 1.
     fn inflation(recurring: f64) -> f64 {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         let mut normal = || Vec3::from_fn(|_, _| StandardNormal.sample(&mut rng));
