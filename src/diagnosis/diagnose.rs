@@ -28,6 +28,7 @@ use crate::{
 };
 use ground::geometry::Rotation;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
+use std::borrow::Cow;
 
 /// Diagnoses an arm's joint states and pose streams. `max_lag_s` is the largest latency to search.
 pub fn diagnose_run(
@@ -52,17 +53,24 @@ fn diagnose_all(run: &ArmRun) -> ArmDiagnosis {
     diagnose_without_derived(run, &together).unwrap_or(together)
 }
 
-/// Positions alone, if the orientations are constant, the joints turn the tool, and neither the arm nor a fault of its
+/// Positions alone, if the logged orientations are constant, the joints turn the tool, and neither the arm nor a fault of its
 /// joints explains that: they were never set.
 fn without_constant_orientation(
     joints: &JointTrack,
     (stream, found): (&PoseStream, &PoseDiagnosis),
 ) -> Option<PoseTrack> {
     const MAX_CHANGE_RAD: f64 = 1e-3;
-    let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let is_explained = found.encoding.is_ok()
         && found.residual.as_ref().is_ok_and(|it| it.rms_rad < MAX_ENCODING_RESIDUAL_RAD);
-    if is_explained || max_angle(rotations) >= MAX_CHANGE_RAD {
+    if is_explained {
+        return None;
+    }
+    let logged = match stream.moving_frame {
+        Some(frame) => Cow::Owned(frame.in_frame(stream.track)),
+        None => Cow::Borrowed(stream.track),
+    };
+    let Orientations::Rotations(rotations) = &logged.orientation else { return None };
+    if max_angle(rotations) >= MAX_CHANGE_RAD {
         return None;
     }
     let (_, fk) = slow_samples(joints, stream, 0.0);
@@ -255,7 +263,7 @@ fn diagnose_with_varying_causes(run: &ArmRun, constant: &ArmDiagnosis) -> Option
 mod tests {
     use super::*;
     use crate::test_random::Lcg;
-    use crate::{NotObservable, test_motion};
+    use crate::{MovingFrame, NotObservable, test_motion};
     use ground::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
     use std::f64::consts::FRAC_PI_2;
 
@@ -474,6 +482,36 @@ mod tests {
         let stream = &found.streams[0];
         assert!(matches!(stream.encoding, Err(NotObservable::OrientationNotSet)));
         assert!(stream.residual.as_ref().expect("a residual").rms_m < 1e-4);
+    }
+
+    /// Positions in a world in which the base moves and turns.
+    #[test]
+    fn a_constant_orientation_on_a_moving_base_is_not_set() {
+        let (joints, chain) = test_motion::arm();
+        let world_from_base = |t_s: f64| {
+            pose(
+                [0.3 * t_s, 0.5 * (0.4 * t_s).sin(), 0.0],
+                Rotation::from_euler_angles(0.0, 0.0, 0.1 * t_s),
+            )
+        };
+        let mut random = Lcg::new();
+        let poses = joints.q.chunks(6).zip(&joints.t_s).map(|(q, &t_s)| {
+            let is = world_from_base(t_s) * chain.forward(q);
+            (is.translation.vector + Vec3::from(random.triple(2e-5)), Rotation::identity())
+        });
+        let logged = test_motion::pose_track(&joints.t_s, poses);
+        let frame = MovingFrame {
+            base_from_frame: joints.t_s.iter().map(|&t_s| world_from_base(t_s).inverse()).collect(),
+            t_s: joints.t_s.clone(),
+            lag_s: 0.0,
+        };
+        let track = frame.in_base(&logged);
+        let stream =
+            PoseStream { moving_frame: Some(&frame), ..test_motion::tip_stream(&track, &chain) };
+        let found = diagnose_run(&joints, &[stream], &[false; 6], 1.0);
+        let found = &found.streams[0];
+        assert!(matches!(found.encoding, Err(NotObservable::OrientationNotSet)), "{found:?}");
+        assert!(found.residual.as_ref().expect("a residual").rms_m < 1e-4);
     }
 
     #[test]
