@@ -1,71 +1,38 @@
 //! Estimators: joint states and streams in, estimates with intervals out. They read no files and hold no
-//! thresholds of rules; `checks` turns estimates into findings.
-//!
-//! # Input
-//! A `JointTrack`, and per pose stream a [`PoseStream`]: logged poses, the chain from reference link to
-//! tip, and whether the reference is known. Times are in s from the run's origin.
+//! thresholds of rules; `checks` turns estimates into findings. Times are in s from the run's origin.
 //!
 //! # Measurement model (`model::measurement`)
 //! ```text
 //! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
 //! ```
-//! `s` is the stamp, `C` the discrete encoding (unit, axes, rotation convention, inversion), `reference`
-//! (`stream_from_reference`; reports use its inverse) and `tool` are constant frame errors, `scaled`
-//! multiplies positions by `1 + radial_scale` about the base. If the base moves in the frame of the logged poses, these are
-//! transformed to the base at `s − lag`, and FK includes the base's motion from `s − lag` to `s − τ`
-//! (`model::moving_frame`). `δ` are joint zeros, and scales and couplings if the joints' encoding has any. The noise is white plus first-order autoregressive (`solver::noise`),
-//! with Huber weights (`solver::robust`).
+//! `s` is the stamp and `C` the encoding (unit, axes, rotation convention, inversion). `reference` and `tool` are
+//! constant errors of the frames, `δ` joint zeros, and `scaled` multiplies positions by `1 + radial_scale` about
+//! the base. Noise is white plus first-order autoregressive (`solver::noise`), with Huber weights. Poses in a frame in
+//! which the base moves are first transformed to the base (`model::moving_frame`).
 //!
-//! # Steps (`diagnose`)
-//! 1. `latency::coarse` estimates large latency steps and ramps from speeds, to correct the stamps.
-//! 2. `latency::correlation` cross-correlates speeds to find candidate lags.
-//! 3. `encodings::position`, `encodings::axis_convention` and `joints` determine the encoding of positions
-//!    and joints from positions alone, then `encodings::decoded_stream` and `encodings::rotation` that of
-//!    rotations.
-//! 4. `arm::fit` fits each stream alone from several starts (`frames`), then all together from the best.
-//!    `selection::model_selection` selects causes, unless none are as likely. `selection::tool_preference` replaces
-//!    a moved reference by a tool if both fit, `selection::causes_beside_links` a frame by a likelier joint zero.
-//!    Joint zeros are preferred to mirrored axes, an inverse or another rotation convention that explain no more.
-//! 5. `selection::nominal_model` and `selection::causes_beside_links` drop causes that random link deviations
-//!    explain.
-//!    `selection::held_out` drops causes that do not predict held-out samples better.
-//! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
-//!    confounders, excess residual and latency profile. Intervals of zeros and radial scales include link deviations
-//!    (`arm::beside_links`). `frames::with_links` estimates the frames of an arm that
-//!    deviates. A variable latency is compensated; steps 2 to 6 are repeated.
-//! 7. `compliance::gains` finds a scale or a coupling of a joint. If it does not explain the residual, `changes` finds
-//!    steps, ramps and settling of frames, joint zeros and radial scales, by a score test beside link
-//!    deviations, and changes of frames together with compliance. `compliance` competes with both. Each corrects the
-//!    run and repeats steps 4 to 6. The likeliest diagnosis wins (`selection::evidence`). If the latency varies once these
-//!    are removed, or is the likeliest explanation of a residual that remains, it is compensated, and steps 4 to 7 are
-//!    repeated (`diagnose`). If a residual still remains,
-//!    `changes` looks for segments with other encodings, encodes them like the longest one, and repeats steps 1 to 7, or for segments in which a frame or a joint zero is turned by more
-//!    than a linearisation shows. A run that follows FK as logged only between gaps or jumps of the
-//!    numbers starts here.
-//! 8. If some streams are FK of the recorded joint states, and another is not explained or is seen from outside and shows a
-//!    joint zero or compliance, the joints are diagnosed by the others.
-//! 9. If neither the arm nor a fault of its joints explains a constant orientation, it was never set: the run is diagnosed
-//!    again with the positions alone.
+//! # Algorithm (`diagnose`)
+//! 1. Clocks: large steps and ramps of the latency by speeds (`latency::coarse`), then candidate lags by
+//!    cross-correlation of speeds (`latency::correlation`).
+//! 2. Encodings: of positions and joints from positions alone (`encodings::position`, `encodings::axis_convention`,
+//!    `joints`), then of rotations (`encodings::rotation`).
+//! 3. Constant causes: each stream is fitted alone from several starts, then all together from the best (`arm::fit`).
+//!    Gauss–Newton steps alternate with the selection of causes (`selection::model_selection`): the set with the
+//!    lowest weighted cost `rᵀWr` plus `ln n + 8` per parameter, for `n` independent residuals. Latencies and unknown
+//!    references are always free.
+//! 4. Link deviations: no arm is its drawing. Causes that usual deviations explain, or that do not predict held-out
+//!    samples, are dropped (`selection::nominal_model`, `causes_beside_links`, `held_out`).
+//! 5. Estimates: values, intervals and confounders (`arm::stream`, `arm::zeros`), the excess residual
+//!    (`residuals::excess`) and the latency over the run (`latency::profile`).
+//! 6. Varying causes: a variable latency is compensated; scales, couplings and compliance of joints (`compliance`),
+//!    steps and drifts of frames, zeros and radial scales (`changes`) are removed. Each time, steps 2 to 5 are repeated,
+//!    and the likeliest diagnosis wins (`selection::evidence`).
+//! 7. If a residual remains: parts of the run with another encoding, or after a large turn of a frame or a joint
+//!    (`changes`), joints that only a stream from outside shows, and orientations that were never set (`diagnose`).
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
-//! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.
-//!
-//! Streams derived from joint states, such as /tf, are diagnosed one by one, for encoding and timing only
-//! (`diagnose_derived`). IMUs are compared with FK (`imu`). `residuals::residual_check` compares streams
-//! with FK without the estimators.
-//!
-//! # Selection of causes (`selection::model_selection`)
-//! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros,
-//! and per stream skew, radial scale, reference and tool. The noise is estimated with all of them free. A
-//! set of causes scores its weighted cost `rᵀWr` after a least-squares step plus a price of `ln n + 8` per
-//! parameter, for `n` independent residuals. Sets of up to four causes (three above 16 candidates) are searched
-//! exhaustively, larger ones greedily; sets of nearly dependent causes are rejected. Selection and
-//! Gauss–Newton steps alternate until convergence. Of several starts, that with the least `Σ n·ln σ²` plus
-//! price wins.
-//!
-//! # Output
-//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states
-//! whether its cause was selected.
+//! (`Chain::is_floating`). Streams computed from joint states, such as /tf, are diagnosed one by one
+//! (`diagnose_derived`), IMUs against FK (`imu`). `residuals::residual_check` compares streams with FK without the
+//! estimators.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
