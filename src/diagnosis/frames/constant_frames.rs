@@ -344,7 +344,7 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
 mod tests {
     use super::*;
     use crate::model::jacobian::{Derivative, PoseJacobian};
-    use crate::solver::minimize::PoseSums;
+    use crate::solver::linear::Linear;
 
     #[test]
     fn equations_of_frames_equal_sums_over_poses() {
@@ -357,19 +357,19 @@ mod tests {
         let logged: Vec<Pose> = fk.iter().map(|fk| random(30) * reference * fk * tool).collect();
         let pair = FramePair { fk: &fk, logged: &logged };
         let equations = pair.linearize(&(reference, tool)).expect("valid frames");
-        let mut sums = PoseSums::new(12);
+        let mut linear = Linear::new(12, &[0.0; 2]);
+        let weighted = |[position, turn]: Derivative| {
+            [position / START_NOISE_M, turn * (LEVER_M / START_NOISE_M)]
+        };
         for (fk, logged) in fk.iter().zip(&logged) {
             let jacobian = PoseJacobian::new(&[], &reference, fk, &tool);
-            let derivatives: [Derivative; 12] = std::array::from_fn(|i| match i {
-                0..6 => jacobian.reference(i),
-                _ => jacobian.tool(i - 6),
-            });
-            let turn = logged.rotation * jacobian.pose.rotation.inverse();
-            let position = logged.translation.vector - jacobian.pose.translation.vector;
-            let weights = [1.0 / START_NOISE_M, LEVER_M / START_NOISE_M];
-            sums.add(&derivatives, [position, rotvec_from_rotation(&turn)], weights);
+            let mut rows = linear.push(&weighted(pose_change(&jacobian.pose, logged)));
+            for axis in 0..6 {
+                rows.set_all(axis, weighted(jacobian.reference(axis)));
+                rows.set_all(6 + axis, weighted(jacobian.tool(axis)));
+            }
         }
-        let mut sums = sums.normal();
+        let mut sums = linear.normal(&linear.even_weights());
         add_tool_prior(&mut sums, &tool);
         assert!((&equations.matrix - &sums.matrix).amax() < 1e-9 * sums.matrix.amax());
         assert!((&equations.right - &sums.right).amax() < 1e-9 * sums.right.amax());

@@ -4,8 +4,8 @@ use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, Res
 use super::map::{Coupling, JointMap};
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::pose_of_twist;
-use crate::solver::linear::Normal;
-use crate::solver::minimize::{LeastSquares, Limits, PoseSums, minimize};
+use crate::solver::linear::{Linear, Normal};
+use crate::solver::minimize::{LeastSquares, Limits, minimize};
 
 #[derive(Clone, Debug)]
 pub(super) struct JointProposal {
@@ -96,35 +96,33 @@ impl LeastSquares for ProposalFit<'_> {
         let Self { proposal, view, tool_parameters, reference_parameters } = *self;
         let dof = view.chain.dof();
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
-        let weights = [1.0, if view.rotation.is_some() { view.lever_m } else { 0.0 }];
+        let lever_m = if view.rotation.is_some() { view.lever_m } else { 0.0 };
+        let in_m = |[position, turn]: Derivative| [position, lever_m * turn];
         let width = proposal.zeros.len()
             + proposal.factors.len()
             + usize::from(proposal.fits_coupling)
             + tool_parameters
             + reference_parameters;
-        let mut sums = PoseSums::new(width);
-        let mut derivatives: Vec<Derivative> = Vec::with_capacity(width);
+        let mut linear = Linear::new(width, &[0.0; 2]);
         for (k, row) in view.q.chunks_exact(dof).enumerate() {
             map.apply(row, &mut q);
             let link = view.chain.forward_with_jacobian(&q, &mut columns);
             let jacobian = PoseJacobian::new(&columns, &frames.reference, &link, &frames.tool);
             let scaled = |joint: usize, by: f64| jacobian.joint(joint).map(|part| by * part);
-            derivatives.clear();
-            derivatives.extend(proposal.zeros.iter().map(|&joint| jacobian.joint(joint)));
-            derivatives.extend(
-                proposal
-                    .factors
-                    .iter()
-                    .map(|&joint| scaled(joint, map.factor[joint] * row[map.from[joint]])),
-            );
+            let by_zero = |&joint: &usize| jacobian.joint(joint);
+            let by_factor =
+                |&joint: &usize| scaled(joint, map.factor[joint] * row[map.from[joint]]);
             let coupling = map.coupling.filter(|_| proposal.fits_coupling);
-            derivatives.extend(coupling.map(|Coupling { joint, by, .. }| scaled(joint, q[by])));
-            derivatives.extend((0..tool_parameters).map(|axis| jacobian.tool(axis)));
-            derivatives.extend((0..reference_parameters).map(|axis| jacobian.reference(axis)));
-            let residual = view.residual(k, &jacobian.pose);
-            sums.add(&derivatives, residual, weights);
+            let by_coupling = coupling.map(|Coupling { joint, by, .. }| scaled(joint, q[by]));
+            let derivatives = (proposal.zeros.iter().map(by_zero))
+                .chain(proposal.factors.iter().map(by_factor))
+                .chain(by_coupling)
+                .chain((0..tool_parameters).map(|axis| jacobian.tool(axis)))
+                .chain((0..reference_parameters).map(|axis| jacobian.reference(axis)));
+            let mut rows = linear.push(&in_m(view.residual(k, &jacobian.pose)));
+            derivatives.enumerate().for_each(|(column, own)| rows.set_all(column, in_m(own)));
         }
-        Some(sums.normal())
+        Some(linear.normal(&linear.even_weights()))
     }
 
     fn moved(&self, (map, frames): &Self::State, step: &[f64]) -> Self::State {

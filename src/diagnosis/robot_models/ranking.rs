@@ -13,8 +13,8 @@ use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
-use crate::solver::linear::Normal;
-use crate::solver::minimize::{LeastSquares, Limits, MIN_DAMPING, PoseSums, minimize};
+use crate::solver::linear::{Linear, Normal};
+use crate::solver::minimize::{LeastSquares, Limits, MIN_DAMPING, minimize};
 use crate::solver::robust::trimmed_rms;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::stream::JointTrack;
@@ -496,27 +496,23 @@ impl LeastSquares for Hypothesis<'_> {
         /// At the fitted latency. Few covered samples fit too easily.
         const MIN_COVERED_SHARE: f64 = 0.75;
         let dof = parameters.zeros.len();
-        let mut sums = PoseSums::new(self.free.len());
-        let mut samples = 0;
-        let mut derivatives = Vec::with_capacity(self.free.len());
+        let mut linear = Linear::new(self.free.len(), &[0.0]);
         self.stream.predict(parameters, |jacobian, qd, logged| {
-            derivatives.clear();
-            derivatives.extend(self.free.iter().map(|&parameter| match parameter {
-                0 => jacobian.velocity(qd).map(|part| -part),
-                p if p <= dof => jacobian.joint(p - 1),
-                p if p <= 6 + dof => jacobian.reference(p - 1 - dof),
-                p => jacobian.tool(p - 7 - dof),
-            }));
-            let position = logged - jacobian.pose.translation.vector;
-            sums.add(&derivatives, [position, Vec3::zeros()], [1.0, 0.0]);
-            samples += 1;
+            let derivative = |&parameter: &usize| match parameter {
+                0 => -jacobian.velocity(qd)[0],
+                p if p <= dof => jacobian.joint(p - 1)[0],
+                p if p <= 6 + dof => jacobian.reference(p - 1 - dof)[0],
+                p => jacobian.tool(p - 7 - dof)[0],
+            };
+            let mut rows = linear.push(&[logged - jacobian.pose.translation.vector]);
+            rows.set_from(0, self.free.iter().map(derivative));
         });
         let min_covered = (MIN_COVERED_SHARE * self.stream.samples.t_s.len() as f64) as usize;
-        if samples < MIN_SAMPLES.max(min_covered) {
+        if linear.len() < MIN_SAMPLES.max(min_covered) {
             return None;
         }
-        let mut normal = sums.normal();
-        let weights = self.prior.weights() * (samples as f64).sqrt();
+        let mut normal = linear.normal(&linear.even_weights());
+        let weights = self.prior.weights() * (linear.len() as f64).sqrt();
         for (at, &parameter) in self.free.iter().enumerate() {
             if let Some(axis) = parameter.checked_sub(7 + dof) {
                 normal.add_prior(at, weights[axis], -parameters.tool[axis]);
