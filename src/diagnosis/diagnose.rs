@@ -313,7 +313,7 @@ mod tests {
             panic!("{:?}", found.joints.compliance)
         };
         assert!(backlash.is_backlash() && backlash.column == joint, "{backlash:?}");
-        let off_rad = (backlash.value.value - backlash_rad).abs();
+        let off_rad = (backlash.value().value - backlash_rad).abs();
         assert!(off_rad < 0.1 * backlash_rad, "{backlash:?}");
     }
 

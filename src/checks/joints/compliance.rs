@@ -56,14 +56,14 @@ impl ComplianceRule {
             case,
             self.name,
             ["joint compliance changes mid-run", "joint compliance drifts"],
-            &Vec::from_iter(&compliance.change),
+            &Vec::from_iter(&compliance.change()),
             &threshold,
             |change| tip_effect(arm, compliance.column, change.size.value).0,
         );
         if let Some((outcome @ Outcome::Evaluated(Ruling::Fail(_)), estimate)) = change {
             return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
         }
-        let size = compliance.value.abs();
+        let size = compliance.value().abs();
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, compliance, severity));
         SubjectResult::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(

@@ -60,8 +60,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 }
 
 fn fault(arm: &ArmEvidence, compliance: &JointCompliance, severity: Severity) -> Fault {
-    let size = compliance.value.abs();
-    let leads = compliance.value.value < 0.0;
+    let size = compliance.value().abs();
+    let leads = compliance.value().value < 0.0;
     let (effect_m, moved) = tip_effect(arm, compliance.column, size.value);
     let how = match leads {
         true => "the poses lead the encoder",
@@ -97,9 +97,10 @@ mod tests {
             let mut run = clean_run();
             let backlash = JointCompliance {
                 column: 1,
-                value: precise(amount),
                 shape: ComplianceShape::Backlash(BacklashCrossing::Gradual),
-                change: None,
+                amounts: [amount, 0.0],
+                std_error: precise(amount).std_error,
+                dof: precise(amount).dof,
             };
             run.robots[0].diagnosis.compliance.push(backlash);
             let (rows, findings) = evaluate_rule(&MOT006, &run);

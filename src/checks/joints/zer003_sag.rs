@@ -59,12 +59,13 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 }
 
 fn fault(arm: &ArmEvidence, compliance: &JointCompliance, severity: Severity) -> Fault {
-    let (effect_m, moved) = tip_effect(arm, compliance.column, compliance.value.value);
+    let size = compliance.value();
+    let (effect_m, moved) = tip_effect(arm, compliance.column, size.value);
     Fault {
         severity,
         cause: Cause::Compliance,
         title: "joint sags under gravity",
-        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&compliance.value)),
+        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&size)),
         evidence: Evidence {
             effect: Some(moved),
             effect_m: Some(effect_m),

@@ -1,6 +1,6 @@
 //! Gravity torques about the joints of an arm.
 
-use ground::geometry::{Pose, Vec3};
+use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
 
 /// Relative masses, assumed if the model has none. `taper` is the mass ratio of successive links, `tool` the mass ratio of
@@ -36,28 +36,18 @@ pub(super) struct GravityTorques {
     masses: MassModel,
 }
 
-#[derive(Default)]
-pub(super) struct TorqueBuffers {
-    q: Vec<f64>,
-    jacobian: Vec<[f64; 6]>,
-    frames: Vec<Pose>,
-}
-
 impl GravityTorques {
     pub fn new(chain: &Chain, columns: &[usize], masses: MassModel) -> Self {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 
-    /// Torques at `row`, positive along the joint's motion, 0 for prismatic joints. `out` is indexed by
-    /// track column.
-    pub fn torques(&self, row: &[f64], buffer: &mut TorqueBuffers, out: &mut [f64]) {
-        let TorqueBuffers { q, jacobian, frames } = buffer;
-        q.clear();
-        q.extend(self.columns.iter().map(|&column| row[column]));
-        jacobian.resize(q.len(), [0.0; 6]);
-        let tip = self.chain.forward_with_jacobian(q, jacobian).translation.vector;
-        self.chain.joint_frames(q, frames);
-        out.fill(0.0);
+    /// Torques at `row`, positive along the joint's motion, 0 for prismatic joints. One for each position of the row.
+    pub fn torques(&self, row: &[f64]) -> Vec<f64> {
+        let q: Vec<f64> = self.columns.iter().map(|&column| row[column]).collect();
+        let (mut jacobian, mut frames) = (vec![[0.0; 6]; q.len()], Vec::new());
+        let tip = self.chain.forward_with_jacobian(&q, &mut jacobian).translation.vector;
+        self.chain.joint_frames(&q, &mut frames);
+        let mut torques = vec![0.0; row.len()];
         let at = |link: usize| frames.get(link).map_or(tip, |frame| frame.translation.vector);
         let links = (0..q.len()).map(|link| {
             let mass = self.masses.taper.powi(link as i32);
@@ -72,8 +62,9 @@ impl GravityTorques {
                 }
                 let axis = Vec3::new(column[3], column[4], column[5]);
                 let rises = column[2] + axis.cross(&(center - tip)).z;
-                out[self.columns[joint]] -= mass * rises;
+                torques[self.columns[joint]] -= mass * rises;
             }
         }
+        torques
     }
 }

@@ -11,7 +11,6 @@ mod gravity;
 mod search;
 mod shapes;
 mod system;
-mod term;
 
 use crate::arm::are_floating;
 use crate::arm_run::ArmRun;
@@ -28,11 +27,10 @@ use crate::{
 
 pub(super) use gains::diagnose_with_gain;
 use gravity::MassModel;
-use search::{ComplianceSearch, MASS_STD_ERROR};
-use shapes::USUAL_COMPLIANCE_RAD;
+use search::{ComplianceSearch, refine};
 pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+use shapes::{MASS_STD_ERROR, USUAL_COMPLIANCE_RAD};
 pub(super) use shapes::{apply_compliance, motion_directions};
-use term::{ComplianceKind, ComplianceTerm};
 
 const CONVERGED_RAD: f64 = 2e-5;
 /// Tested against sag.
@@ -118,15 +116,15 @@ pub(super) fn diagnose_gain_as_compliance(
 
 /// Whether some joint has more compliance than usual.
 pub(super) fn has_unusual_compliance(diagnosis: &ArmDiagnosis) -> bool {
-    let is_unusual = |joint: &JointCompliance| joint.value.value.abs() > USUAL_COMPLIANCE_RAD;
+    let is_unusual = |joint: &JointCompliance| joint.size().abs() > USUAL_COMPLIANCE_RAD;
     diagnosis.joints.compliance.iter().any(is_unusual)
 }
 
 /// Whether sizes differ by less than they are uncertain.
-fn are_converged(terms: &[ComplianceTerm], before: &[ComplianceTerm]) -> bool {
+fn are_converged(terms: &[JointCompliance], before: &[JointCompliance]) -> bool {
     /// Of the standard error.
     const MAX_CHANGE_SHARE: f64 = 0.1;
-    let is_converged = |(now, before): (&ComplianceTerm, &ComplianceTerm)| {
+    let is_converged = |(now, before): (&JointCompliance, &JointCompliance)| {
         let change = (now.size() - before.size()).abs();
         change < CONVERGED_RAD.max(MAX_CHANGE_SHARE * now.std_error)
     };
@@ -140,7 +138,7 @@ impl ArmRun<'_> {
         let (search, sets) = self.search(&samples)?;
         let mut found = Vec::new();
         for terms in sets {
-            found.extend(self.diagnose_without(&search, terms));
+            found.extend(self.diagnose_without(&samples, terms));
             // Eccentricity is flexible: backlash and sag take precedence.
             if found.iter().any(is_explained) {
                 break;
@@ -150,7 +148,7 @@ impl ArmRun<'_> {
             // A load change gives one joint two sag values.
             let terms = search.load_change_terms();
             if !terms.is_empty() {
-                found.extend(self.diagnose_without(&search, terms));
+                found.extend(self.diagnose_without(&samples, terms));
             }
         }
         let mut after = likeliest(found)?;
@@ -161,7 +159,7 @@ impl ArmRun<'_> {
         for compliance in after.joints.compliance.iter().filter(|compliance| compliance.is_sag()) {
             let offset = after.joints.offsets.get_mut(compliance.column);
             if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
-                offset.std_error = offset.std_error.hypot(MASS_STD_ERROR * compliance.value.value);
+                offset.std_error = offset.std_error.hypot(MASS_STD_ERROR * compliance.size());
             }
         }
         Some(after)
@@ -186,16 +184,16 @@ impl ArmRun<'_> {
         let mut with_confounders: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
             let Some(term) = search.sag_like(column, zero) else { continue };
-            let refined = self.diagnose_converged(&search, vec![term]);
+            let term = vec![term];
+            let refined = self.diagnose_converged(term.clone());
             let is_refined = refined.is_some();
             // A constant torque does not distinguish them.
-            let equal = || self.corrected(search.to_compliance(&[term]));
+            let equal = || self.corrected(&term);
             let after = refined.or_else(equal).filter(has_unusual_compliance);
             let Some(after) = after else { continue };
             let is_zero_still_chosen =
                 after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
-            let sag =
-                after.joints.compliance.first().map_or(0.0, |compliance| compliance.value.value);
+            let sag = after.joints.compliance.first().map_or(0.0, JointCompliance::size);
             let gain = log_bayes_factor(&after, diagnosis);
             if !is_zero_still_chosen && is_refined && gain > MIN_LOG_RATIO_OF_SAG && !is_nominal {
                 return Some(after);
@@ -212,16 +210,14 @@ impl ArmRun<'_> {
     fn search<'a>(
         &'a self,
         samples: &'a [StreamSamples<'a>],
-    ) -> Option<(ComplianceSearch<'a>, Vec<Vec<ComplianceTerm>>)> {
-        let search = ComplianceSearch::new(self, samples, MassModel::CANDIDATES[0])?;
+    ) -> Option<(ComplianceSearch<'a>, Vec<Vec<JointCompliance>>)> {
+        let with_masses = |masses| ComplianceSearch::new(self, samples, masses);
+        let search = with_masses(MassModel::CANDIDATES[0])?;
         let sets = search.terms();
-        let sags =
-            |set: &&Vec<ComplianceTerm>| set.iter().any(|term| term.kind == ComplianceKind::Sag);
+        let sags = |set: &&Vec<JointCompliance>| set.iter().any(JointCompliance::is_sag);
         let Some(first) = sets.iter().find(sags) else { return Some((search, sets)) };
-        let searches = MassModel::CANDIDATES.into_iter().filter_map(|masses| {
-            let search = ComplianceSearch::new(self, samples, masses)?;
-            Some((search.residual_noise(first), search))
-        });
+        let searches = MassModel::CANDIDATES.into_iter().filter_map(with_masses);
+        let searches = searches.map(|search| (search.residual_noise(first), search));
         let search = searches.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let sets = search.terms();
         Some((search, sets))
@@ -230,44 +226,39 @@ impl ArmRun<'_> {
     /// `None` if no term remains.
     fn diagnose_without(
         &self,
-        search: &ComplianceSearch,
-        mut terms: Vec<ComplianceTerm>,
+        samples: &[StreamSamples],
+        mut terms: Vec<JointCompliance>,
     ) -> Option<ArmDiagnosis> {
         for _ in 0..MAX_ROUNDS {
-            search.refine(&mut terms, false);
+            refine(self.joints, samples, &mut terms, false);
         }
-        self.diagnose_converged(search, terms)
+        self.diagnose_converged(terms)
     }
 
     /// [`Self::diagnose_without`] from the values in `terms`.
-    fn diagnose_converged(
-        &self,
-        search: &ComplianceSearch,
-        mut terms: Vec<ComplianceTerm>,
-    ) -> Option<ArmDiagnosis> {
-        let mut after = self.corrected(search.to_compliance(&terms))?;
+    fn diagnose_converged(&self, mut terms: Vec<JointCompliance>) -> Option<ArmDiagnosis> {
+        let mut after = self.corrected(&terms)?;
         for _ in 0..MAX_ROUNDS {
             let before = terms.clone();
-            let samples = self.samples(&after);
-            search.on_samples(&samples).refine(&mut terms, true);
+            refine(self.joints, &self.samples(&after), &mut terms, true);
             if are_converged(&terms, &before) {
                 break;
             }
-            after = self.corrected(search.to_compliance(&terms))?;
+            after = self.corrected(&terms)?;
         }
-        after.joints.compliance = search.to_compliance(&terms);
+        after.joints.compliance = terms;
         Some(after)
     }
 
     /// Diagnosis with these compliances. `None` without any.
-    fn corrected(&self, compliances: Vec<JointCompliance>) -> Option<ArmDiagnosis> {
+    fn corrected(&self, compliances: &[JointCompliance]) -> Option<ArmDiagnosis> {
         if compliances.is_empty() {
             return None;
         }
         let mut joints = self.joints.clone();
-        apply_compliance(&mut joints, &compliances);
+        apply_compliance(&mut joints, compliances);
         let mut after = ArmRun { joints: &joints, ..*self }.diagnose_as_logged();
-        after.joints.compliance = compliances;
+        after.joints.compliance = compliances.to_vec();
         Some(after)
     }
 

@@ -1,7 +1,7 @@
 //! Joint compliance: backlash, sag, eccentricity or late positions of one joint.
 
-use super::gravity::{GravityTorques, TorqueBuffers};
-use crate::ScalarChange;
+use super::gravity::GravityTorques;
+use crate::{Course, ScalarChange};
 use ground::stats::Measured;
 use ground::stream::JointTrack;
 use std::sync::Arc;
@@ -9,18 +9,25 @@ use std::sync::Arc;
 /// Healthy gears and links have it; smaller values are not reported.
 pub(super) const USUAL_COMPLIANCE_RAD: f64 = 2.1e-3;
 
+/// Largest credible size.
+pub(super) const MAX_COMPLIANCE_RAD: f64 = 0.1;
+/// Relative, of sag, due to the assumed link masses.
+pub(super) const MASS_STD_ERROR: f64 = 0.07;
+
 /// Deviation of a link from its encoder: `q_true = q_reported + bend`.
 #[derive(Clone, Debug)]
 pub struct JointCompliance {
     /// Joint's column.
     pub column: usize,
-    /// In rad: full backlash (negative if the link leads its encoder), largest sag over the run,
-    /// eccentricity's amplitude, or error of late positions at the highest speed.
-    pub value: Measured,
     /// Profile over the motion.
     pub shape: ComplianceShape,
-    /// Change, rad, such as sag after a load change. Times are on the joint states' clock.
-    pub change: Option<ScalarChange>,
+    /// In rad: full backlash (negative if the link leads its encoder), largest sag over the run, before and after a load
+    /// change, eccentricity's sine and cosine, or error of late positions at the highest speed.
+    pub amounts: [f64; 2],
+    /// Of the amounts, without that of the link masses.
+    pub std_error: f64,
+    /// Degrees of freedom of the amounts.
+    pub dof: f64,
 }
 
 /// Profile of a joint's compliance.
@@ -30,13 +37,8 @@ pub enum ComplianceShape {
     Backlash(BacklashCrossing),
     /// Proportional to the gravity torque.
     Sag(JointSag),
-    /// `sin(order · q + phase)`.
-    Eccentric {
-        /// Cycles per turn.
-        order: u32,
-        /// Phase.
-        phase_rad: f64,
-    },
+    /// Sine and cosine of the angle times this number of cycles per turn.
+    Eccentric(u32),
     /// Proportional to the joint's speed: its positions are late.
     Delay {
         /// Highest over the run, rad/s.
@@ -76,13 +78,77 @@ pub struct JointSag {
     pub(super) gravity: Arc<GravityTorques>,
     /// Torque of the full sag, in the unit of `gravity`.
     pub(super) max_torque: f64,
+    /// Time of a load change on the joint states' clock, and half-width of its interval, s.
+    pub(super) load_change_s: Option<(f64, f64)>,
+}
+
+impl JointSag {
+    /// Index of the amount at this time.
+    pub(super) fn amount_at(&self, t_s: f64) -> usize {
+        usize::from(self.load_change_s.is_some_and(|(at_s, _)| t_s >= at_s))
+    }
 }
 
 impl JointCompliance {
+    /// Without an amount.
+    pub(super) fn new(column: usize, shape: ComplianceShape) -> Self {
+        Self { column, shape, amounts: [0.0; 2], std_error: 0.0, dof: 3.0 }
+    }
+
+    /// Number of amounts.
+    pub(super) fn width(&self) -> usize {
+        match &self.shape {
+            ComplianceShape::Eccentric(_) => 2,
+            ComplianceShape::Sag(sag) if sag.load_change_s.is_some() => 2,
+            _ => 1,
+        }
+    }
+
     /// Number of fitted parameters.
     pub(crate) fn parameters(&self) -> usize {
-        let shape = if matches!(self.shape, ComplianceShape::Eccentric { .. }) { 2 } else { 1 };
-        shape + 2 * usize::from(self.change.is_some())
+        self.width() + usize::from(self.change().is_some())
+    }
+
+    /// Signed except for eccentricity, rad.
+    pub(super) fn size(&self) -> f64 {
+        let [first, second] = self.amounts;
+        match self.shape {
+            ComplianceShape::Eccentric(_) => first.hypot(second),
+            _ if second.abs() > first.abs() => second,
+            _ => first,
+        }
+    }
+
+    /// Size in rad: full backlash (negative if the link leads its encoder), largest sag over the run, eccentricity's
+    /// amplitude, or error of late positions at the highest speed.
+    pub fn value(&self) -> Measured {
+        self.measured(self.size())
+    }
+
+    /// Change, rad, such as sag after a load change. Times are on the joint states' clock.
+    pub fn change(&self) -> Option<ScalarChange> {
+        let ComplianceShape::Sag(JointSag { load_change_s: Some(change_s), .. }) = self.shape
+        else {
+            return None;
+        };
+        let ((at_s, within_s), [from, to]) = (change_s, self.amounts);
+        let Measured { value, std_error, dof } = self.measured(to - from);
+        let size = Measured { value, std_error: std::f64::consts::SQRT_2 * std_error, dof };
+        Some(ScalarChange { at_s, within_s, course: Course::Step, from, to, size })
+    }
+
+    fn measured(&self, value: f64) -> Measured {
+        let by_masses = if self.is_sag() { MASS_STD_ERROR * value } else { 0.0 };
+        Measured { value, std_error: self.std_error.hypot(by_masses), dof: self.dof }
+    }
+
+    pub(super) fn is_significant(&self) -> bool {
+        const MIN_STD_ERRORS: f64 = 4.0;
+        let size = self.size();
+        let is_signed = self.is_backlash() || self.delay_s().is_some();
+        (size > 0.0 || is_signed)
+            && size.abs() > MIN_STD_ERRORS * self.std_error
+            && size.abs() < MAX_COMPLIANCE_RAD
     }
 
     /// Whether this is backlash.
@@ -98,15 +164,14 @@ impl JointCompliance {
     /// Latency of the joint's positions relative to the other joints', s.
     pub fn delay_s(&self) -> Option<Measured> {
         match self.shape {
-            ComplianceShape::Delay { max_speed } => Some(self.value.scaled(1.0 / max_speed)),
+            ComplianceShape::Delay { max_speed } => Some(self.value().scaled(1.0 / max_speed)),
             _ => None,
         }
     }
 
     /// Above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
-        matches!(self.shape, ComplianceShape::Eccentric { .. })
-            && self.value.value > USUAL_COMPLIANCE_RAD
+        matches!(self.shape, ComplianceShape::Eccentric(_)) && self.size() > USUAL_COMPLIANCE_RAD
     }
 }
 
@@ -114,14 +179,8 @@ impl JointCompliance {
 pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointCompliance]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
-    let (mut torques, mut buffer) = (vec![0.0; dof], TorqueBuffers::default());
-    for JointCompliance { column, value: amount, shape, change } in compliances {
-        let (column, amount) = (*column, amount.value);
-        let amount_at = |t_s: f64| match change {
-            Some(change) if t_s < change.at_s => change.from,
-            Some(change) => change.to,
-            None => amount,
-        };
+    for JointCompliance { column, shape, amounts, .. } in compliances {
+        let (column, amount) = (*column, amounts[0]);
         let q = |row: usize| reported[row * dof + column];
         match shape {
             ComplianceShape::Backlash(crossing) => {
@@ -138,20 +197,20 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointComp
                     }
                 }
             }
-            ComplianceShape::Sag(JointSag { gravity, max_torque: full_torque }) => {
+            ComplianceShape::Sag(sag) => {
                 for (row, positions) in reported.chunks_exact(dof).enumerate() {
-                    gravity.torques(positions, &mut buffer, &mut torques);
-                    let amount = amount_at(joints.t_s[row]);
-                    joints.q[row * dof + column] += amount * torques[column] / full_torque;
+                    let torque = sag.gravity.torques(positions)[column];
+                    let amount = amounts[sag.amount_at(joints.t_s[row])];
+                    joints.q[row * dof + column] += amount * torque / sag.max_torque;
                 }
             }
-            ComplianceShape::Eccentric { order, phase_rad } => {
+            ComplianceShape::Eccentric(order) => {
                 let order = f64::from(*order);
                 for row in 0..joints.len() {
                     let at = row * dof + column;
-                    let (sin, cos) = (order * q(row) + phase_rad).sin_cos();
-                    joints.q[at] += amount * sin;
-                    joints.qd[at] *= 1.0 + amount * order * cos;
+                    let (sin, cos) = (order * q(row)).sin_cos();
+                    joints.q[at] += amounts[0] * sin + amounts[1] * cos;
+                    joints.qd[at] *= 1.0 + order * (amounts[0] * cos - amounts[1] * sin);
                 }
             }
             ComplianceShape::Delay { max_speed } => {

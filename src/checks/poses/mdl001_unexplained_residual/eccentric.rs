@@ -8,7 +8,7 @@ pub(super) fn eccentricity(arm: &ArmEvidence) -> String {
     let eccentric = arm.diagnosis.compliance.iter().filter(|compliance| compliance.is_eccentric());
     let clauses = eccentric.filter_map(|compliance| {
         let joint = &arm.joints.get(compliance.column)?.name;
-        let amount = Unit::Radian.show(compliance.value.value);
+        let amount = Unit::Radian.show(compliance.value().value);
         Some(format!("; it varies with the angle of {joint}: eccentric gear or encoder, ±{amount}"))
     });
     clauses.collect()
