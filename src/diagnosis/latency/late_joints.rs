@@ -1,12 +1,13 @@
 //! Latency between groups of joints of one arm, if several topics contain their states.
 
 use crate::PoseStream;
-use crate::model::jacobian::{Derivative, PoseJacobian};
+use crate::model::jacobian::PoseJacobian;
+use crate::solver::linear::Linear;
+use crate::solver::robust::pseudo_inverse;
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stats::thin::thinned;
 use ground::stream::JointTrack;
-use nalgebra::{DMatrix, DVector};
 
 /// A group of joints that is late against the arm's other joints.
 #[derive(Clone, Copy, Debug)]
@@ -102,12 +103,9 @@ impl TwoLatencies {
         const MIN_SAMPLES: usize = 100;
         /// Link deviations correlate the errors of neighbouring samples.
         const CORRELATION_S: f64 = 0.5;
-        const MIN_SINGULAR_SHARE: f64 = 1e-9;
         let PoseStream { track, chain, columns, .. } = *stream;
-        let count = 2 + columns.len() + 6 + 3;
-        let mut normal = DMatrix::<f64>::zeros(count, count);
-        let mut right = DVector::<f64>::zeros(count);
-        let (mut squares, mut times) = (0.0, Vec::new());
+        let mut linear = Linear::new(2 + columns.len() + 6 + 3, &[0.0]);
+        let mut times = Vec::new();
         let mut sequence = joints.sequence();
         let mut link = vec![[0.0; 6]; columns.len()];
         let identity = Pose::identity();
@@ -128,14 +126,8 @@ impl TwoLatencies {
             let zeros = (0..columns.len()).map(|joint| jacobian.joint(joint));
             let frames = (0..6).map(|axis| jacobian.reference(axis));
             let tool = (0..3).map(|axis| jacobian.tool(axis));
-            let all: Vec<Derivative> =
-                latencies.into_iter().chain(zeros).chain(frames).chain(tool).collect();
-            for axis in 0..3 {
-                let row = DVector::from_fn(count, |column, _| all[column][0][axis]);
-                normal.ger(1.0, &row, &row, 1.0);
-                right.axpy(residual[axis], &row, 1.0);
-            }
-            squares += residual.norm_squared();
+            let all = latencies.into_iter().chain(zeros).chain(frames).chain(tool);
+            linear.push(&[residual]).set_from(0, all.map(|[of_position, _]| of_position));
             times.push(t_s);
         }
         let span_s = times.last()? - times.first()?;
@@ -143,11 +135,10 @@ impl TwoLatencies {
         if times.len() < MIN_SAMPLES {
             return None;
         }
-        let decomposed = normal.svd(true, true);
-        let least = MIN_SINGULAR_SHARE * decomposed.singular_values.max();
-        let solution = decomposed.solve(&right, least).ok()?;
-        let inverse = decomposed.pseudo_inverse(least).ok()?;
-        let mean_square = (squares - solution.dot(&right)).max(0.0) / (3.0 * samples);
+        let normal = linear.normal(&linear.even_weights());
+        let inverse = pseudo_inverse(&normal.matrix).0;
+        let solution = &inverse * &normal.right;
+        let mean_square = normal.cost_after(&solution).max(0.0) / (3.0 * samples);
         let independent = (span_s / CORRELATION_S).clamp(1.0, samples);
         let variance = mean_square * samples / independent * inverse[(1, 1)];
         let std_error = variance.max(0.0).sqrt();
