@@ -6,7 +6,7 @@ use crate::imu::diagnose_converted_imu;
 use crate::residuals::comparison::residual_of_shares_m;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    LatencyProfile, PiecewiseLatency, PoseDiagnosis, PoseStream, detect_imu_latency_changes,
+    JointDiagnosis, LatencyProfile, PiecewiseLatency, PoseStream, detect_imu_latency_changes,
     detect_pose_latency_changes,
 };
 use ground::geometry::Pose;
@@ -26,12 +26,11 @@ pub(crate) struct CompensatedRun {
 impl CompensatedRun {
     /// Compensates a variable latency, so its effects are not attributed to another cause.
     pub fn new(run: &ArmRun) -> Self {
-        let coarse = CoarselyCompensated::likeliest(run).confirmed(run);
-        // A profile is accurate once its effects on other causes are removed.
-        let CoarselyCompensated { changes, diagnosis } = match coarse.with_profiles() {
-            changes if changes == coarse.changes => coarse,
-            changes => CoarselyCompensated::new(run, changes).confirmed(run),
-        };
+        let (changes, diagnosis) = refine_changes(
+            likeliest_changes(run),
+            |changes| diagnose_without(run, changes),
+            |diagnosis| diagnosis.streams.iter().map(|found| &found.latency_profile).collect(),
+        );
         let steps = changes.iter().map(|it| it.as_ref().filter(|it| it.has_steps()));
         let steps: Vec<Option<&CoarseLatencyChange>> = steps.collect();
         // Ramps stay in the estimated profile; only steps are removed.
@@ -56,95 +55,91 @@ impl CompensatedRun {
     }
 }
 
-/// Large changes of the streams' latencies, and the run's diagnosis without them.
-struct CoarselyCompensated {
-    changes: Vec<Option<CoarseLatencyChange>>,
-    diagnosis: ArmDiagnosis,
+/// Large changes of latencies, per stream.
+type Changes = Vec<Option<CoarseLatencyChange>>;
+
+/// Diagnosis of the run without these changes.
+fn diagnose_without(run: &ArmRun, changes: &Changes) -> ArmDiagnosis {
+    let tracks =
+        tracks_with_stamps(run.streams, |s, t_s| Some(changes[s].as_ref()?.compensated(t_s)));
+    let mut streams = with_tracks(run.streams, &tracks);
+    for (stream, change) in streams.iter_mut().zip(changes) {
+        stream.removed_ramp = removed_ramp(change);
+    }
+    diagnose_arm(run.joints, &streams, run.max_lag_s)
 }
 
-impl CoarselyCompensated {
-    fn new(run: &ArmRun, changes: Vec<Option<CoarseLatencyChange>>) -> Self {
-        let tracks =
-            tracks_with_stamps(run.streams, |s, t_s| Some(changes[s].as_ref()?.compensated(t_s)));
-        let mut streams = with_tracks(run.streams, &tracks);
-        for (stream, change) in streams.iter_mut().zip(&changes) {
-            stream.removed_ramp = removed_ramp(change);
-        }
-        let diagnosis = diagnose_arm(run.joints, &streams, run.max_lag_s);
-        Self { changes, diagnosis }
+/// The likeliest changes by speeds, and the diagnosis without them.
+fn likeliest_changes(run: &ArmRun) -> (Changes, ArmDiagnosis) {
+    let detect = |joints: &JointTrack| -> Changes {
+        let streams = run.streams.par_iter();
+        streams.map(|stream| detect_pose_latency_changes(joints, stream, run.max_lag_s)).collect()
+    };
+    let without = |changes: Changes| {
+        let diagnosis = diagnose_without(run, &changes);
+        (changes, diagnosis)
+    };
+    let residual_m = |(changes, diagnosis): &(Changes, ArmDiagnosis)| {
+        residual_of_shares_m(diagnosis, &compared_shares(run.joints, run.streams, changes))
+    };
+    // The second one if its residual is smaller.
+    let better = |one, other| if residual_m(&other) < residual_m(&one) { other } else { one };
+    let none = vec![None; run.streams.len()];
+    let mut likeliest = without(detect(run.joints));
+    if likeliest.0 != none {
+        // Misread joints change the speeds as well.
+        likeliest = better(without(none.clone()), likeliest);
     }
-
-    fn likeliest(run: &ArmRun) -> Self {
-        let detect = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
-            let streams = run.streams.par_iter();
-            streams
-                .map(|stream| detect_pose_latency_changes(joints, stream, run.max_lag_s))
-                .collect()
-        };
-        let none = vec![None; run.streams.len()];
-        let mut likeliest = Self::new(run, detect(run.joints));
-        if likeliest.changes != none {
-            // Misread joints change the speeds as well.
-            likeliest = Self::new(run, none.clone()).or(likeliest, run);
-        }
-        if likeliest.changes == none
-            && let Some(joints) = likeliest.corrected_joints(run)
-        {
-            // Misread joints and latency changes hide each other.
-            let changes = detect(&joints);
-            if changes != none {
-                likeliest = likeliest.or(Self::new(run, changes), run);
-            }
-        }
-        likeliest
-    }
-
-    /// With the confirmed changes only.
-    fn confirmed(self, run: &ArmRun) -> Self {
-        let confirmed = |(change, found): (&Option<CoarseLatencyChange>, &PoseDiagnosis)| {
-            change.clone().filter(|it| is_confirmed(it, &found.latency_profile))
-        };
-        let both = self.changes.iter().zip(&self.diagnosis.streams);
-        let confirmed: Vec<Option<CoarseLatencyChange>> = both.map(confirmed).collect();
-        match confirmed == self.changes {
-            true => self,
-            false => Self::new(run, confirmed),
+    if likeliest.0 == none
+        && let Some(joints) = corrected_joints(run, &likeliest.1.joints)
+    {
+        // Misread joints and latency changes hide each other.
+        let changes = detect(&joints);
+        if changes != none {
+            likeliest = better(likeliest, without(changes));
         }
     }
+    likeliest
+}
 
-    /// The changes, with the estimated latency of each stream without steps.
-    fn with_profiles(&self) -> Vec<Option<CoarseLatencyChange>> {
-        let both = self.changes.iter().zip(&self.diagnosis.streams);
-        both.map(|(change, found)| with_profile(change, &found.latency_profile)).collect()
-    }
-
-    /// The other one if its residual is smaller.
-    fn or(self, other: Self, run: &ArmRun) -> Self {
-        let residual_m = |it: &Self| {
-            let shares = compared_shares(run.joints, run.streams, &it.changes);
-            residual_of_shares_m(&it.diagnosis, &shares)
-        };
-        if residual_m(&other) < residual_m(&self) { other } else { self }
-    }
-
-    /// `None` if the joint states are as logged.
-    fn corrected_joints(&self, run: &ArmRun) -> Option<JointTrack> {
-        let found = &self.diagnosis.joints;
-        match &found.encoding {
-            Ok(encoding) if encoding.is_as_logged() => None,
-            Ok(_) => Some(found.corrected_joints(run.joints, run.is_prismatic)),
-            Err(_) => {
-                let mut radians = run.joints.clone();
-                radians.convert_from_degrees(run.is_prismatic);
-                Some(radians)
-            }
+/// `None` if the joint states are as logged.
+fn corrected_joints(run: &ArmRun, found: &JointDiagnosis) -> Option<JointTrack> {
+    match &found.encoding {
+        Ok(encoding) if encoding.is_as_logged() => None,
+        Ok(_) => Some(found.corrected_joints(run.joints, run.is_prismatic)),
+        Err(_) => {
+            let mut radians = run.joints.clone();
+            radians.convert_from_degrees(run.is_prismatic);
+            Some(radians)
         }
     }
 }
 
-/// Whether a change is not a ramp of a stream whose latency is constant: its speeds differ for another reason.
-fn is_confirmed(change: &CoarseLatencyChange, profile: &EstimateResult<LatencyProfile>) -> bool {
-    change.has_steps() || profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
+/// Changes that the latencies of the diagnosis without them confirm and refine, and the diagnosis without the refined ones.
+fn refine_changes<D>(
+    (mut changes, mut diagnosis): (Changes, D),
+    diagnose_without: impl Fn(&Changes) -> D,
+    profiles: impl Fn(&D) -> Vec<&EstimateResult<LatencyProfile>>,
+) -> (Changes, D) {
+    // A profile is accurate once its effects on other causes are removed.
+    for refined in [confirmed, with_profile, confirmed] {
+        let both = changes.iter().zip(profiles(&diagnosis));
+        let better: Changes = both.map(|(change, profile)| refined(change, profile)).collect();
+        if better != changes {
+            diagnosis = diagnose_without(&better);
+            changes = better;
+        }
+    }
+    (changes, diagnosis)
+}
+
+/// The change, unless it is a ramp of a stream whose latency is constant: its speeds differ for another reason.
+fn confirmed(
+    change: &Option<CoarseLatencyChange>,
+    profile: &EstimateResult<LatencyProfile>,
+) -> Option<CoarseLatencyChange> {
+    let varies = profile.as_ref().is_ok_and(|profile| profile.is_unsteady);
+    change.clone().filter(|change| change.has_steps() || varies)
 }
 
 /// The estimated latency, unless the change has steps.
@@ -153,11 +148,11 @@ fn with_profile(
     profile: &EstimateResult<LatencyProfile>,
 ) -> Option<CoarseLatencyChange> {
     let varies = |it: &&LatencyProfile| it.is_unsteady && it.levels.knots.len() > 1;
-    match (change, profile.as_ref().ok().filter(varies)) {
-        (Some(change), Some(_)) if change.has_steps() => Some(change.clone()),
-        (_, Some(profile)) => Some(CoarseLatencyChange::ramp(profile.levels.clone())),
-        (_, None) => change.clone(),
-    }
+    let profile = profile.as_ref().ok().filter(varies);
+    let has_steps = change.as_ref().is_some_and(CoarseLatencyChange::has_steps);
+    let profile = profile.filter(|_| !has_steps);
+    let ramp = profile.map(|profile| CoarseLatencyChange::ramp(profile.levels.clone()));
+    ramp.or_else(|| change.clone())
 }
 
 /// The latency, unless it steps.
@@ -230,19 +225,15 @@ pub fn diagnose_imu_with_latency_compensation(
         }
         None => diagnosed(stream.track, None),
     };
-    let mut change = detect_imu_latency_changes(joints, &stream, max_lag_s);
-    let mut diagnosis = diagnose_with(&change);
-    let confirmed = change.clone().filter(|it| is_confirmed(it, &diagnosis.latency_profile));
-    let better = with_profile(&confirmed, &diagnosis.latency_profile);
-    if better != change {
-        diagnosis = diagnose_with(&better);
-        change = better;
-    }
-    if change.as_ref().is_some_and(|it| !is_confirmed(it, &diagnosis.latency_profile)) {
-        diagnosis = diagnose_with(&None);
-    }
+    let detected = detect_imu_latency_changes(joints, &stream, max_lag_s);
+    let first = diagnose_with(&detected);
+    let (changes, diagnosis) = refine_changes(
+        (vec![detected], first),
+        |changes| diagnose_with(&changes[0]),
+        |diagnosis| vec![&diagnosis.latency_profile],
+    );
     // As for poses, only steps are removed.
-    let steps = change.as_ref().filter(|it| it.has_steps());
+    let steps = changes[0].as_ref().filter(|it| it.has_steps());
     let latency_profile = reported_profile(&diagnosis.latency_profile, steps, t_s);
     let unsteady = diagnosis.latency_profile.as_ref().ok().filter(|profile| profile.is_unsteady);
     let Some(unsteady) = unsteady else {
