@@ -7,7 +7,7 @@
 
 use super::change::Change;
 use super::jumps::Jump;
-use super::profile::{Profile, Shape};
+use super::profile::Profile;
 use crate::priors::price;
 use crate::residuals::cause_columns::{CauseColumns, Frame, LATENCY, ZEROS};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
@@ -205,30 +205,30 @@ impl<'a> ScoreTest<'a> {
         gains.iter().enumerate().map(score).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    fn scored(&self, shape: Shape) -> Option<(Shape, Scored)> {
-        let run_s = [*self.t_s.first()?, *self.t_s.last()?];
-        let profile = Profile::Drift { run_s, shape };
+    fn scored(&self, profile: Profile) -> Option<Scored> {
         let gains = self.gains_of_profile(|t_s| profile.factor(t_s));
         let (of, score) = self.likeliest(&gains, profile.parameters())?;
-        Some((shape, (profile, self.causes[of].clone(), score)))
+        Some((profile, self.causes[of].clone(), score))
     }
 
     /// The likeliest gradual change.
     fn likeliest_drift(&self) -> Option<Scored> {
-        let likelier = |a: &(Shape, Scored), b: &(Shape, Scored)| a.1.2.total_cmp(&b.1.2);
-        let mut best = Shape::coarse().filter_map(|shape| self.scored(shape)).max_by(likelier)?;
-        /// Of the distance between coarse shapes; the fit of the amounts refines the rest.
+        /// Of the distance between coarse profiles; the fit of the amounts refines the rest.
         const SMALLEST_PART: f64 = 0.2;
+        let run_s = [*self.t_s.first()?, *self.t_s.last()?];
+        let likelier = |a: &Scored, b: &Scored| a.2.total_cmp(&b.2);
+        let coarse = Profile::coarse(run_s).filter_map(|profile| self.scored(profile));
+        let mut best = coarse.max_by(likelier)?;
         let mut part = 0.5;
         while part > SMALLEST_PART {
-            let near = best.0.neighbours(part).filter_map(|shape| self.scored(shape));
+            let near = best.0.neighbours(part).filter_map(|profile| self.scored(profile));
             match near.max_by(likelier).filter(|near| likelier(near, &best).is_gt()) {
                 Some(near) => best = near,
                 None => part *= 0.5,
             }
         }
-        let throughout = self.scored(Shape::THROUGHOUT);
-        throughout.into_iter().chain([best]).max_by(likelier).map(|(_, scored)| scored)
+        let throughout = self.scored(Profile::Ramp { run_s, from: 0.0, to: 1.0 });
+        throughout.into_iter().chain([best]).max_by(likelier)
     }
 
     /// The likeliest step, apart from those found. Its strength is relative to the price of its parameters.
