@@ -8,7 +8,7 @@ use super::correlation::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, no
 use super::lag_windows::{LagWindow, lag_windows};
 use super::piecewise::PiecewiseLatency;
 use super::ramp::RampFit;
-use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, differences, squared_deviation};
+use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, SpeedPair};
 use super::steps::{MAX_PROFILE_SAMPLES, detect_steps};
 use crate::samples::sampling::{as_rotations, monotonic_rows, value_range};
 use crate::{ImuStream, PoseStream};
@@ -119,33 +119,34 @@ fn detect_changes(
     pairs: &[(SpeedSeries, SpeedSeries)],
     max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, max_lag_s)));
+    let seen = pairs.iter().map(|(arm, stream)| {
+        let speeds = SpeedPair { arm, stream };
+        (speeds, lag_windows(speeds, max_lag_s))
+    });
     let typical = |windows: &[LagWindow]| {
         let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
         median(&mut all).unwrap_or(0.0)
     };
-    let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
+    let (speeds, windows) = seen.max_by(|a, b| typical(&a.1).total_cmp(&typical(&b.1)))?;
     let followed: Vec<&LagWindow> =
         windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
     let is_large = |latency: &PiecewiseLatency| {
         value_range(latency.knots.iter().map(|knot| knot.1)) >= MIN_VARIATION_S
     };
-    let steps = detect_steps(arm, stream, &followed).filter(|steps| is_large(&steps.latency));
-    let stream = stream.at_rows(thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES));
+    let steps = detect_steps(speeds, &followed).filter(|steps| is_large(&steps.latency));
+    let rows = thinned(0..speeds.stream.t_s.len(), MAX_PROFILE_SAMPLES);
+    let speeds = SpeedPair { stream: &speeds.stream.at_rows(rows), ..speeds };
     let Some(RampFit { ramp, residual, line_residual }) =
-        PiecewiseLatency::fit_windows(arm, &stream, &followed)
+        PiecewiseLatency::fit_windows(speeds, &followed)
     else {
         return steps;
     };
-    let spread = squared_deviation(&stream.value);
-    let of_steps = |steps: &CoarseLatencyChange| -> f64 {
-        differences(arm, &stream, |t_s| steps.latency.at(t_s)).iter().sum()
-    };
+    let of_steps = |steps: &CoarseLatencyChange| speeds.residual(&|t_s| steps.latency.at(t_s));
     let steps_residual = steps.as_ref().map_or(f64::INFINITY, of_steps);
     // Linear growth is skew, not steps.
     let steps = steps.filter(|_| steps_residual < line_residual);
-    let is_ramp =
-        residual < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * line_residual);
+    let max_residual = MAX_SPEED_RESIDUAL_SHARE * speeds.variation();
+    let is_ramp = residual < max_residual.min(MAX_RESIDUAL_RATIO * line_residual);
     match is_ramp && residual <= steps_residual {
         true => Some(CoarseLatencyChange::ramp(ramp)),
         false => steps,
@@ -177,7 +178,7 @@ pub(crate) mod tests {
         let (mut arm, stream) = pair(|_| 0.0);
         arm.t_s.push(3e9);
         arm.value.push(0.0);
-        let windows = lag_windows(&arm, &stream, 5.0);
+        let windows = lag_windows(SpeedPair { arm: &arm, stream: &stream }, 5.0);
         assert!((5..20).contains(&windows.len()), "{}", windows.len());
     }
 

@@ -37,6 +37,11 @@ impl SpeedSeries {
         Self { t_s, value }
     }
 
+    /// First and last time, s.
+    pub fn span_s(&self) -> Option<(f64, f64)> {
+        Some((*self.t_s.first()?, *self.t_s.last()?))
+    }
+
     /// Interpolated, fastest near the last interval. `None` outside the series and in gaps of `max_gap_s` or more.
     pub fn at(&self, t_s: f64, max_gap_s: f64, left: &mut usize) -> Option<f64> {
         let Self { t_s: times, value } = self;

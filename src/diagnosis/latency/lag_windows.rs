@@ -1,6 +1,7 @@
 //! Lag of the highest correlation in each window of several seconds.
 
-use super::correlation::{SpeedSeries, lag_peaks};
+use super::correlation::lag_peaks;
+use super::speed_residual::SpeedPair;
 use crate::samples::sampling::rows_within;
 
 /// Window with the lag of the highest correlation.
@@ -12,26 +13,21 @@ pub(crate) struct LagWindow {
     pub correlation: f64,
 }
 
-pub(crate) fn lag_windows(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    max_lag_s: f64,
-) -> Vec<LagWindow> {
+pub(crate) fn lag_windows(SpeedPair { arm, stream }: SpeedPair, max_lag_s: f64) -> Vec<LagWindow> {
     const MIN_COMMON_SHARE: f64 = 0.5;
-    const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
-    let ends_s = |speed: &SpeedSeries| Some((*speed.t_s.first()?, *speed.t_s.last()?));
-    let (Some((begin_s, end_s)), Some(stream_ends_s)) = (ends_s(arm), ends_s(stream)) else {
+    const MIN_LENGTH_S: f64 = 5.0;
+    const MAX_LENGTH_S: f64 = 10.0;
+    let (Some((begin_s, end_s)), Some(stream_ends_s)) = (arm.span_s(), stream.span_s()) else {
         return Vec::new();
     };
-    let length_s =
-        (0.25 * (end_s - begin_s)).clamp(WINDOW_LENGTH_LIMITS_S.0, WINDOW_LENGTH_LIMITS_S.1);
+    let length_s = (0.25 * (end_s - begin_s)).clamp(MIN_LENGTH_S, MAX_LENGTH_S);
     let count = (2.0 * (end_s - begin_s) / length_s) as usize;
     let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
     let window = |index: usize| {
         let from_s = from_s(index);
         let own = arm.at_rows(rows_within(&arm.t_s, from_s, from_s + length_s));
         // At the ends of the run, a lag can match a short common span by chance.
-        let (first_s, last_s) = ends_s(&own)?;
+        let (first_s, last_s) = own.span_s()?;
         let covers = |lag_s: f64| {
             let common_s =
                 (last_s + lag_s).min(stream_ends_s.1) - (first_s + lag_s).max(stream_ends_s.0);

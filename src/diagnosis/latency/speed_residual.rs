@@ -6,48 +6,59 @@ use ground::stats::mean;
 /// After compensation, as a fraction of the speeds' variation.
 pub(crate) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
 
-pub(crate) fn squared_deviation(values: &[f64]) -> f64 {
-    let mean = mean(values.iter().copied());
-    values.iter().map(|value| (value - mean).powi(2)).sum()
+/// Speeds of an arm and of a stream.
+#[derive(Clone, Copy)]
+pub(crate) struct SpeedPair<'a> {
+    pub arm: &'a SpeedSeries,
+    pub stream: &'a SpeedSeries,
 }
 
-/// Squared differences of the two speeds at a lag. Where the arm's speed is unknown, the most that a lag that explains
-/// the speeds may leave.
-pub(crate) fn differences(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    lag_s: impl Fn(f64) -> f64,
-) -> Vec<f64> {
-    let count = stream.t_s.len().max(1) as f64;
-    let unknown = MAX_SPEED_RESIDUAL_SHARE * squared_deviation(&stream.value) / count;
-    let pairs = SpeedPairs::new(arm, stream, &lag_s);
-    pairs.squares().map(|square| square.unwrap_or(unknown)).collect()
+impl SpeedPair<'_> {
+    /// Squared deviation of the stream's speed from its mean.
+    pub fn variation(self) -> f64 {
+        let values = &self.stream.value;
+        let mean = mean(values.iter().copied());
+        values.iter().map(|value| (value - mean).powi(2)).sum()
+    }
+
+    /// Squared differences of the two speeds at a lag. Where the arm's speed is unknown, the most that a lag that explains
+    /// the speeds may leave.
+    pub fn differences(self, lag_s: &dyn Fn(f64) -> f64) -> Vec<f64> {
+        let count = self.stream.t_s.len().max(1) as f64;
+        let unknown = MAX_SPEED_RESIDUAL_SHARE * self.variation() / count;
+        let compared = ComparedSpeeds::new(self, lag_s);
+        compared.squares().map(|square| square.unwrap_or(unknown)).collect()
+    }
+
+    /// Their sum.
+    pub fn residual(self, lag_s: &dyn Fn(f64) -> f64) -> f64 {
+        self.differences(lag_s).iter().sum()
+    }
 }
 
 /// Speeds of arm and stream at common times.
-pub(crate) struct SpeedPairs<'a> {
-    arm: &'a SpeedSeries,
-    stream: &'a SpeedSeries,
+pub(crate) struct ComparedSpeeds<'a> {
+    speeds: SpeedPair<'a>,
     /// `None` if the arm's speed is unknown.
     pairs: Vec<Option<(f64, f64)>>,
 }
 
-impl<'a> SpeedPairs<'a> {
-    pub fn new(arm: &'a SpeedSeries, stream: &'a SpeedSeries, lag_s: &dyn Fn(f64) -> f64) -> Self {
-        let mut pairs = Self { arm, stream, pairs: vec![None; stream.t_s.len()] };
-        pairs.update((f64::NEG_INFINITY, f64::INFINITY), lag_s);
-        pairs
+impl<'a> ComparedSpeeds<'a> {
+    pub fn new(speeds: SpeedPair<'a>, lag_s: &dyn Fn(f64) -> f64) -> Self {
+        let mut compared = Self { speeds, pairs: vec![None; speeds.stream.t_s.len()] };
+        compared.update((f64::NEG_INFINITY, f64::INFINITY), lag_s);
+        compared
     }
 
     /// Replaces the lag of stamps from the first to the second.
     pub fn update(&mut self, (from_s, to_s): (f64, f64), lag_s: &dyn Fn(f64) -> f64) {
         const MAX_GAP_S: f64 = 0.5;
-        let Self { arm, stream, pairs } = self;
+        let SpeedPair { arm, stream } = self.speeds;
         let first = stream.t_s.partition_point(|t_s| *t_s < from_s);
         let end = stream.t_s.partition_point(|t_s| *t_s <= to_s);
         let samples = stream.t_s[first..end].iter().zip(&stream.value[first..end]);
         let mut left = 0;
-        for (pair, (t_s, value)) in pairs[first..end].iter_mut().zip(samples) {
+        for (pair, (t_s, value)) in self.pairs[first..end].iter_mut().zip(samples) {
             let speed = arm.at(t_s - lag_s(*t_s), MAX_GAP_S, &mut left);
             *pair = speed.map(|speed| (speed, *value));
         }

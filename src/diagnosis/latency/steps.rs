@@ -6,7 +6,7 @@ use super::correlation::{SpeedSeries, median_period_s, window_s};
 use super::lag_windows::LagWindow;
 use super::piecewise::PiecewiseLatency;
 use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
-use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, differences, squared_deviation};
+use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, SpeedPair};
 use crate::samples::sampling::rows_within;
 use crate::{EstimateResult, Measured};
 use ground::stats::parabola_minimum;
@@ -25,19 +25,17 @@ const MAX_RESIDUAL_RATIO: f64 = 0.35;
 
 /// Latency steps, from the lags in `followed`.
 pub(crate) fn detect_steps(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
+    speeds: SpeedPair,
     followed: &[&LagWindow],
 ) -> Option<CoarseLatencyChange> {
     let mut lags = candidate_lags(followed);
-    let after_leaps: Vec<f64> = forward_leaps_s(stream)
+    let after_leaps: Vec<f64> = forward_leaps_s(speeds.stream)
         .into_iter()
         .flat_map(|leap_s| lags.iter().flat_map(move |lag_s| [lag_s - leap_s, lag_s + leap_s]))
         .collect();
     lags.extend(after_leaps);
-    let rough = (lags.len() > 1).then(|| assign_lags(arm, stream, &lags)).flatten()?;
-    let finer = assign_lags(arm, stream, &rough.finer_lags(arm, stream));
-    Some(finer.unwrap_or(rough))
+    let rough = (lags.len() > 1).then(|| assign_lags(speeds, &lags)).flatten()?;
+    Some(assign_lags(speeds, &rough.finer_lags(speeds)).unwrap_or(rough))
 }
 
 /// Sizes of the largest steps of a clock that was set forward, if the largest gaps are such steps, s.
@@ -66,18 +64,14 @@ fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     groups.into_iter().take(MAX_LAGS).filter_map(best).collect()
 }
 
-fn assign_lags(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    lags: &[f64],
-) -> Option<CoarseLatencyChange> {
+fn assign_lags(SpeedPair { arm, stream }: SpeedPair, lags: &[f64]) -> Option<CoarseLatencyChange> {
     /// Price of a step, as a duration of the smallest speed difference.
     const STEP_PRICE_S: f64 = 10.0;
     let rows: Vec<usize> = thinned(0..stream.t_s.len(), MAX_PROFILE_SAMPLES).collect();
     let compared = stream.at_rows(rows.iter().copied());
-    let costs: Vec<Vec<f64>> =
-        lags.iter().map(|&lag_s| differences(arm, &compared, |_| lag_s)).collect();
-    let (begin_s, end_s) = (*compared.t_s.first()?, *compared.t_s.last()?);
+    let speeds = SpeedPair { arm, stream: &compared };
+    let costs: Vec<Vec<f64>> = lags.iter().map(|&lag_s| speeds.differences(&|_| lag_s)).collect();
+    let (begin_s, end_s) = compared.span_s()?;
     let min_difference = |at: usize| costs.iter().map(|own| own[at]).fold(f64::INFINITY, f64::min);
     let best: f64 = (0..rows.len()).map(min_difference).sum();
     let span_s = (end_s - begin_s).max(f64::MIN_POSITIVE);
@@ -103,12 +97,9 @@ fn assign_lags(
         let overlap_s = lags[both[1].1] - lags[both[0].1] - both[1].2;
         (both[1].0, overlap_s.abs())
     });
-    let found = CoarseLatencyChange {
-        steps: steps.collect(),
-        latency: PiecewiseLatency::with_steps(
-            &levels.iter().map(|level| (level.0, lags[level.1])).collect::<Vec<_>>(),
-        ),
-    };
+    let of_levels: Vec<_> = levels.iter().map(|level| (level.0, lags[level.1])).collect();
+    let latency = PiecewiseLatency::with_steps(&of_levels);
+    let found = CoarseLatencyChange { steps: steps.collect(), latency };
     let is_clear = |row: &usize| found.is_far_from_steps(compared.t_s[*row]);
     let clear: Vec<usize> = (0..rows.len()).filter(is_clear).collect();
     let cost = |lag_at: &dyn Fn(f64) -> usize| -> f64 {
@@ -116,8 +107,9 @@ fn assign_lags(
     };
     let with = cost(&|t_s| levels[levels.partition_point(|level| level.0 <= t_s) - 1].1);
     let alone = (0..lags.len()).map(|lag| cost(&|_| lag)).fold(f64::INFINITY, f64::min);
-    let spread = squared_deviation(&compared.at_rows(clear.iter().copied()).value);
-    let explains = with < (MAX_RESIDUAL_RATIO * alone).min(MAX_SPEED_RESIDUAL_SHARE * spread);
+    let clear = compared.at_rows(clear.iter().copied());
+    let variation = SpeedPair { stream: &clear, ..speeds }.variation();
+    let explains = with < (MAX_RESIDUAL_RATIO * alone).min(MAX_SPEED_RESIDUAL_SHARE * variation);
     (found.has_steps() && explains).then_some(found)
 }
 
@@ -148,17 +140,17 @@ fn cheapest_path(costs: &[Vec<f64>], price: f64) -> Option<Vec<usize>> {
 
 impl CoarseLatencyChange {
     /// Lag with the smallest speed difference over each level, s.
-    fn finer_lags(&self, arm: &SpeedSeries, stream: &SpeedSeries) -> Vec<f64> {
+    fn finer_lags(&self, SpeedPair { arm, stream }: SpeedPair) -> Vec<f64> {
         /// Around the coarse lag.
         const LAG_SEARCH_RANGE_S: f64 = 0.03;
         const LAG_SEARCH_STEP_S: f64 = 1e-3;
         let ends_s = self.steps.iter().map(|step| step.0).chain([f64::INFINITY]);
         let finer = self.levels().into_iter().zip(ends_s).map(|((from_s, lag_s), end_s)| {
-            let clear: Vec<usize> = rows_within(&stream.t_s, from_s, end_s)
-                .filter(|&row| self.is_far_from_steps(stream.t_s[row]))
-                .collect();
-            let compared = stream.at_rows(thinned(clear, MAX_PROFILE_SAMPLES));
-            let cost = |lag_s: f64| differences(arm, &compared, |_| lag_s).iter().sum::<f64>();
+            let clear = rows_within(&stream.t_s, from_s, end_s);
+            let clear = clear.filter(|&row| self.is_far_from_steps(stream.t_s[row]));
+            let compared = stream.at_rows(thinned(Vec::from_iter(clear), MAX_PROFILE_SAMPLES));
+            let speeds = SpeedPair { arm, stream: &compared };
+            let cost = |lag_s: f64| speeds.residual(&|_| lag_s);
             let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));
             let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -229,15 +221,17 @@ mod tests {
     use crate::latency::coarse::CoarseLatencyChange;
     use crate::latency::coarse::tests::{changed, pair};
     use crate::latency::lag_windows::lag_windows;
+    use crate::latency::speed_residual::SpeedPair;
 
     #[test]
     fn a_clock_that_is_set_forward_beyond_the_arms_times_is_measured() {
         for size_s in [3.0, 12.0, 60.0] {
             let (arm, mut stream) = pair(|_| 0.0);
             stream.t_s.iter_mut().filter(|t_s| **t_s > 17.0).for_each(|t_s| *t_s += size_s);
-            let windows = lag_windows(&arm, &stream, 5.0);
+            let speeds = SpeedPair { arm: &arm, stream: &stream };
+            let windows = lag_windows(speeds, 5.0);
             let followed: Vec<_> = windows.iter().filter(|it| it.correlation > 0.85).collect();
-            let found = detect_steps(&arm, &stream, &followed).expect("a step");
+            let found = detect_steps(speeds, &followed).expect("a step");
             let profile = found.profile(&Err(crate::NotObservable::AtRest));
             let [step] = profile.steps.as_slice() else { panic!("{size_s}: {found:?}") };
             assert!((step.size_s.value - size_s).abs() < 0.01, "{size_s}: {step:?}");
