@@ -146,21 +146,22 @@ pub(crate) fn candidate_encodings(
     distinct(found, PositionEncoding::is_same)
 }
 
-/// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.
-struct EncodingSums {
-    normal: SMatrix<f64, 7, 7>,
-    /// Ignored base axis.
-    skipped: Option<usize>,
-}
-
 struct EncodingSearch<'a> {
     fk: &'a [Pose],
     positions: &'a StreamPositions<'a>,
     is_inverted: bool,
     /// m.
     extent_m: f64,
-    /// One entry, or one for each base axis ignored.
-    sums: Vec<EncodingSums>,
+    /// Of each base axis.
+    sums: [AxisSums; 3],
+    /// Products of the logged coordinates with each other.
+    logged_products: Matrix3<f64>,
+}
+
+/// Products of the derivatives of one base coordinate by scale (0), tool (1–3) and shift (4–6).
+struct AxisSums {
+    with_each_other: SMatrix<f64, 7, 7>,
+    with_logged: SMatrix<f64, 7, 3>,
 }
 
 struct EncodingSolution {
@@ -188,14 +189,11 @@ impl FreeOffsets {
 }
 
 impl<'a> EncodingSearch<'a> {
-    fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, is_inverted: bool) -> Self {
-        let skipped = match written.constant {
-            None => vec![None],
-            Some(_) => vec![Some(0), Some(1), Some(2)],
-        };
-        let sums = skipped.into_iter().map(|skipped| EncodingSums::from_fk(fk, skipped)).collect();
-        let positions: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-        Self { fk, positions: written, is_inverted, extent_m: spread(&positions), sums }
+    fn new(fk: &'a [Pose], positions: &'a StreamPositions<'a>, is_inverted: bool) -> Self {
+        let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+        let sums = [0, 1, 2].map(|axis| AxisSums::new(fk, positions.xyz, axis));
+        let logged_products = positions.xyz.iter().map(|xyz| xyz * xyz.transpose()).sum();
+        Self { fk, positions, is_inverted, extent_m: spread(&at), sums, logged_products }
     }
 
     /// Includes left-handed axes only if `any`.
@@ -206,9 +204,8 @@ impl<'a> EncodingSearch<'a> {
         let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
         for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
             let turn = axes_matrix(axes);
-            let right = self.right_hand_side(&turn, self.sums_of(axes));
             for free in FreeOffsets::ALL {
-                let Some(solved) = self.solve(&right, scale, free) else { continue };
+                let Some(solved) = self.solve(&turn, scale, free) else { continue };
                 if reference_known || constant.is_some() {
                     found.push(self.encoding(metres, Some(axes), turn, &solved, free));
                 }
@@ -275,8 +272,7 @@ impl<'a> EncodingSearch<'a> {
             for free in [FreeOffsets::SHIFT, FreeOffsets::BOTH] {
                 let fits = Axes::all().iter().filter(of_sign).filter_map(|&axes| {
                     let turn = axes_matrix(axes);
-                    let right = self.right_hand_side(&turn, self.sums_of(axes));
-                    Some((turn, self.solve(&right, None, free)?))
+                    Some((turn, self.solve(&turn, None, free)?))
                 });
                 let fits: Vec<(Matrix3<f64>, EncodingSolution)> = fits.collect();
                 let nearest = fits.iter().min_by(|a, b| a.1.residual_m.total_cmp(&b.1.residual_m));
@@ -306,60 +302,38 @@ impl<'a> EncodingSearch<'a> {
         units
     }
 
-    fn sums_of(&self, axes: Axes) -> &EncodingSums {
-        let constant = self.positions.constant.and_then(|axis| {
-            let along = axes.to_standard(Vec3::ith(axis, 1.0));
-            self.sums.get(along.iamax())
-        });
-        constant.unwrap_or(&self.sums[0])
-    }
-
-    fn right_hand_side<'s>(
-        &self,
-        turn: &Matrix3<f64>,
-        sums: &'s EncodingSums,
-    ) -> RightHandSide<'s> {
-        let (mut right, mut square) = (SVector::zeros(), 0.0);
-        let back = turn.transpose();
-        for (fk, logged) in self.fk.iter().zip(self.positions.xyz) {
-            let mut y = back * logged;
-            if let Some(skipped) = sums.skipped {
-                y[skipped] = 0.0;
-            }
-            let (along, tool) = (fk.translation.vector.dot(&y), fk.rotation.inverse() * y);
-            right += SVector::from([along, tool.x, tool.y, tool.z, y.x, y.y, y.z]);
-            square += y.norm_squared();
-        }
-        RightHandSide { sums, right, square }
-    }
-
-    /// `None` if the result is implausible.
+    /// Solution for axes turned by `turn` against the base, without the constant coordinate. `None` if it is implausible.
     fn solve(
         &self,
-        right: &RightHandSide,
+        turn: &Matrix3<f64>,
         scale: Option<f64>,
         free: FreeOffsets,
     ) -> Option<EncodingSolution> {
-        let RightHandSide { sums: EncodingSums { normal, .. }, right, square } = right;
-        let is_free = |column: usize| match column {
-            0 => scale.is_none(),
-            1..4 => free.tool,
-            _ => free.shift,
-        };
+        let skipped = self.positions.constant.map(|axis| turn.row(axis).transpose().iamax());
+        let (mut normal, mut right) = (SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
+        let mut square = 0.0;
+        for (axis, sums) in self.sums.iter().enumerate().filter(|(axis, _)| Some(*axis) != skipped)
+        {
+            let along = turn.column(axis);
+            normal += sums.with_each_other;
+            right += sums.with_logged * along;
+            square += along.dot(&(self.logged_products * along));
+        }
+        let is_free = SVector::<f64, 7>::from_fn(|column, _| {
+            f64::from(match column {
+                0 => scale.is_none(),
+                1..4 => free.tool,
+                _ => free.shift,
+            })
+        });
         let known = scale.unwrap_or(0.0);
-        let square = square - 2.0 * known * right[0] + known * known * normal[(0, 0)];
-        let rhs = SVector::<f64, 7>::from_fn(|at, _| match is_free(at) {
-            true => right[at] - known * normal[(at, 0)],
-            false => 0.0,
-        });
-        let matrix = SMatrix::<f64, 7, 7>::from_fn(|i, j| match is_free(i) && is_free(j) {
-            true => normal[(i, j)],
-            false => 0.0,
-        });
+        square += known * known * normal[(0, 0)] - 2.0 * known * right[0];
+        let rhs = (right - known * normal.column(0)).component_mul(&is_free);
+        let matrix = normal.component_mul(&(is_free * is_free.transpose()));
         let samples = self.fk.len() as f64;
         // Keeps an unobservable tool and parameters that are not free at zero.
         let ridge = SVector::<f64, 7>::from_fn(|at, _| match at {
-            _ if !is_free(at) => 1.0,
+            _ if is_free[at] == 0.0 => 1.0,
             0 => 0.0,
             _ => 1e-6 * samples,
         });
@@ -387,7 +361,7 @@ impl<'a> EncodingSearch<'a> {
         const MIN_RELATIVE_IMPROVEMENT: f64 = 1e-4;
         let (mut turn, mut last) = (start, f64::INFINITY);
         for round in 0..=MAX_ROUNDS {
-            let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
+            let solved = self.solve(&turn, scale, free)?;
             let max_m = (1.0 - MIN_RELATIVE_IMPROVEMENT) * last;
             if round == MAX_ROUNDS || solved.residual_m > max_m {
                 return Some((turn, solved));
@@ -401,26 +375,19 @@ impl<'a> EncodingSearch<'a> {
     }
 }
 
-struct RightHandSide<'s> {
-    sums: &'s EncodingSums,
-    right: SVector<f64, 7>,
-    square: f64,
-}
-
-impl EncodingSums {
-    fn from_fk(fk: &[Pose], skipped: Option<usize>) -> Self {
-        let mut normal = SMatrix::<f64, 7, 7>::zeros();
-        for pose in fk {
+impl AxisSums {
+    fn new(fk: &[Pose], logged: &[Vec3], axis: usize) -> Self {
+        let mut sums = Self { with_each_other: SMatrix::zeros(), with_logged: SMatrix::zeros() };
+        for (pose, logged) in fk.iter().zip(logged) {
             let rotation = pose.rotation.to_rotation_matrix();
-            for row in (0..3).filter(|row| Some(*row) != skipped) {
-                let mut design = SVector::<f64, 7>::zeros();
-                design[0] = pose.translation.vector[row];
-                design.fixed_rows_mut::<3>(1).tr_copy_from(&rotation.matrix().row(row));
-                design[4 + row] = 1.0;
-                normal.ger(1.0, &design, &design, 1.0);
-            }
+            let mut design = SVector::<f64, 7>::zeros();
+            design[0] = pose.translation.vector[axis];
+            design.fixed_rows_mut::<3>(1).tr_copy_from(&rotation.matrix().row(axis));
+            design[4 + axis] = 1.0;
+            sums.with_each_other.ger(1.0, &design, &design, 1.0);
+            sums.with_logged.ger(1.0, &design, logged, 1.0);
         }
-        Self { normal, skipped }
+        sums
     }
 }
 
