@@ -6,7 +6,9 @@ use crate::checks::hand_eye::chain::{
     not_observable, with_solution,
 };
 use crate::checks::{Case, FrameThresholds, Grade, SubjectResult, decide, residual_attribution};
-use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
+use crate::diagnosis::{
+    CameraMount, HandEyeSolution, Measured, PoseEncoding, TargetEncoding, TargetScaleError,
+};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
@@ -305,21 +307,23 @@ fn other_mount(logged: CameraMount) -> Fault {
 
 fn describe_encoding(encoding: &TargetEncoding) -> String {
     match encoding {
-        TargetEncoding::AsLogged => "read as logged".to_owned(),
         TargetEncoding::Axes(axes) => {
             format!("target positions are {}", hec003_camera_axes::describe_axes(*axes))
         }
-        TargetEncoding::Transposed => "target rotations are transposed".to_owned(),
-        TargetEncoding::QuaternionOrder(_) => {
-            "target quaternion components are reordered".to_owned()
-        }
-        TargetEncoding::Misinterpreted(class) => match class.members.first() {
-            Some(one) => {
-                format!("target rotations are {}, not {}", one.is, one.read_as)
-            }
-            None => "target rotations follow a different convention".to_owned(),
-        },
         TargetEncoding::Scaled(stretch) => describe_stretch(stretch),
+        TargetEncoding::Rotations(encoding) => match encoding {
+            PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => "read as logged".to_owned(),
+            PoseEncoding::Transposed | PoseEncoding::Inverted => {
+                "target rotations are transposed".to_owned()
+            }
+            PoseEncoding::QuaternionOrder(_) => {
+                "target quaternion components are reordered".to_owned()
+            }
+            PoseEncoding::Misinterpreted(class) => match class.members.first() {
+                Some(one) => format!("target rotations are {}, not {}", one.is, one.read_as),
+                None => "target rotations follow a different convention".to_owned(),
+            },
+        },
     }
 }
 

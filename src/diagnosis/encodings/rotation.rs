@@ -153,6 +153,21 @@ pub(crate) struct EncodingFit {
     pub residual_rad: f64,
 }
 
+impl PoseEncoding {
+    /// Replaces `out` by the possible true rotations of a logged one.
+    pub(crate) fn true_rotations(&self, logged: &Rotation, out: &mut Vec<Rotation>) {
+        out.clear();
+        match self {
+            Self::AsLogged | Self::Numbers(_) => out.push(*logged),
+            Self::Transposed | Self::Inverted => out.push(logged.inverse()),
+            Self::QuaternionOrder(slip) => {
+                out.extend(rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(logged))));
+            }
+            Self::Misinterpreted(class) => class.members[0].true_rotations(logged, out),
+        }
+    }
+}
+
 /// Decodes logged rotations in one encoding.
 pub(crate) struct RotationDecoder<'a> {
     encoding: PoseEncoding,
@@ -181,17 +196,7 @@ impl<'a> RotationDecoder<'a> {
             }
             (_, LoggedRotations::Numbers(_)) => {}
             (encoding, LoggedRotations::Rotations(rotations)) => {
-                let logged = rotations[sample];
-                match encoding {
-                    PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => out.push(logged),
-                    PoseEncoding::Transposed | PoseEncoding::Inverted => out.push(logged.inverse()),
-                    PoseEncoding::QuaternionOrder(slip) => {
-                        out.extend(rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&logged))));
-                    }
-                    PoseEncoding::Misinterpreted(class) => {
-                        class.members[0].true_rotations(&logged, out);
-                    }
-                }
+                encoding.true_rotations(&rotations[sample], out);
             }
         }
         self.after.apply(out);
@@ -364,7 +369,7 @@ fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
 }
 
 /// Common slips, the simplest first.
-pub(super) fn simple_encodings() -> impl Iterator<Item = PoseEncoding> {
+pub(crate) fn simple_encodings() -> impl Iterator<Item = PoseEncoding> {
     [PoseEncoding::AsLogged, PoseEncoding::Transposed]
         .into_iter()
         .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))

@@ -195,13 +195,13 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
     let peaks = rotation_lag_peaks(hand, target, max_lag_s);
     let lags = candidate_lags(&peaks);
     let lag_s = best_lag_s(streams, &lags);
-    let observed = streams.setting(TargetEncoding::AsLogged, CameraMount::InHand, MAX_FIT_POSES);
+    let observed = streams.setting(TargetEncoding::AS_LOGGED, CameraMount::InHand, MAX_FIT_POSES);
     let diversity = match observed.pairs_at(lag_s, usize::MAX).len() {
         MIN_POSES.. => Ok(rotation_diversity(&observed, lag_s)),
         have => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
     };
     let solution = diversity.clone().and_then(|_| {
-        solve(streams, TargetEncoding::AsLogged, lag_s).ok_or(NotObservable::NotExcited)
+        solve(streams, TargetEncoding::AS_LOGGED, lag_s).ok_or(NotObservable::NotExcited)
     });
     let mut diagnosis = HandEyeDiagnosis {
         follows: peaks.first().copied(),
@@ -233,7 +233,7 @@ fn latency(
     let as_logged = found.solution.as_ref().map_err(Clone::clone)?;
     let (encoding, best) = match &found.alternative {
         Some((encoding, solution)) => (*encoding, solution),
-        None => (TargetEncoding::AsLogged, as_logged),
+        None => (TargetEncoding::AS_LOGGED, as_logged),
     };
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
@@ -278,7 +278,7 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
 /// Smallest closure error of the closed form.
 fn best_lag_s(streams: &HandEyeStreams, lags: &[f64]) -> f64 {
     let settings = CameraMount::ALL
-        .map(|mount| streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES));
+        .map(|mount| streams.setting(TargetEncoding::AS_LOGGED, mount, MAX_FIT_POSES));
     let misfit = |lag_s: f64| {
         let starts = settings.each_ref().map(|setting| start::solve_closed_form(setting, lag_s));
         starts.into_iter().flatten().map(|start| start.0).fold(f64::MAX, f64::min)

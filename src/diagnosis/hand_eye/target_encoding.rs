@@ -8,10 +8,9 @@ use super::start::{
     solve_closed_form_quick,
 };
 use super::{CameraMount, HandEyeSolution, HandEyeStreams, MAX_FIT_POSES, solve};
-use ground::geometry::{
-    Axes, MisinterpretationClass, Pose, QuaternionOrderError, Rotation, Vec3,
-    misinterpretation_classes, pose, rotation_from_xyzw, xyzw_from_rotation,
-};
+use crate::PoseEncoding;
+use crate::encodings::rotation::simple_encodings;
+use ground::geometry::{Axes, Pose, Rotation, Vec3, misinterpretation_classes, pose};
 use ground::stats::Measured;
 use ground::stats::thin::thinned;
 
@@ -24,16 +23,10 @@ const MAX_CLOSURE_M_RAD: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180
 /// Encoding of a target's poses.
 #[derive(Clone, Copy, Debug)]
 pub enum TargetEncoding {
-    /// As logged.
-    AsLogged,
+    /// Rotations have this encoding.
+    Rotations(PoseEncoding),
     /// Positions and rotations use different axes: those of the positions, if the rotations use the standard ones.
     Axes(Axes),
-    /// Only the rotations are transposed.
-    Transposed,
-    /// Quaternion components are permuted.
-    QuaternionOrder(QuaternionOrderError),
-    /// Rotations misinterpreted in another convention.
-    Misinterpreted(&'static MisinterpretationClass),
     /// Positions are scaled.
     Scaled(TargetScaleError),
 }
@@ -77,21 +70,15 @@ impl<'a> HandEyeStreams<'a> {
 }
 
 impl TargetEncoding {
+    pub(super) const AS_LOGGED: Self = Self::Rotations(PoseEncoding::AsLogged);
+
     /// `truths` is a scratch buffer.
     fn decode(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
         let (xyz, rotation) = (logged.translation.vector, logged.rotation);
         match self {
-            Self::AsLogged => *logged,
             Self::Axes(axes) => pose(axes.to_standard(xyz).into(), rotation),
-            Self::Transposed => pose(xyz.into(), rotation.inverse()),
-            Self::QuaternionOrder(error) => {
-                let meant = rotation_from_xyzw(error.true_xyzw(xyzw_from_rotation(&rotation)));
-                pose(xyz.into(), meant.unwrap_or(rotation))
-            }
-            Self::Misinterpreted(class) => {
-                if let Some(misreading) = class.members.first() {
-                    misreading.true_rotations(&rotation, truths);
-                }
+            Self::Rotations(encoding) => {
+                encoding.true_rotations(&rotation, truths);
                 pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
             }
             Self::Scaled(stretch) => pose(stretch.correct(xyz).into(), rotation),
@@ -145,7 +132,7 @@ fn alternative_encoding(
     as_logged: &HandEyeSolution,
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
-    let logged_misfit = closure_error_with(streams, TargetEncoding::AsLogged, lag_s)?;
+    let logged_misfit = closure_error_with(streams, TargetEncoding::AS_LOGGED, lag_s)?;
     let tried = candidates(streams, lag_s).into_iter();
     let tried = tried
         .filter_map(|encoding| Some((closure_error_with(streams, encoding, lag_s)?, encoding)));
@@ -185,18 +172,15 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
         let setting = streams.setting(encoding, CameraMount::InHand, MAX_POSES);
         angle_difference(&setting.pairs_at(lag_s, MAX_POSES / 2))
     };
-    let as_logged = difference_of(TargetEncoding::AsLogged);
+    let as_logged = difference_of(TargetEncoding::AS_LOGGED);
     if as_logged < MAX_ANGLE_DIFFERENCE_RAD {
-        let mut same_angles = vec![
-            TargetEncoding::Transposed,
-            TargetEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw),
-            TargetEncoding::QuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz),
-        ];
         let others = Axes::all().iter().filter(|axes| **axes != Axes::STANDARD);
-        same_angles.extend(others.copied().map(TargetEncoding::Axes));
-        return same_angles;
+        let rotations = simple_encodings().filter(|one| *one != PoseEncoding::AsLogged);
+        let rotations = rotations.map(TargetEncoding::Rotations);
+        return rotations.chain(others.copied().map(TargetEncoding::Axes)).collect();
     }
-    let encodings = misinterpretation_classes().iter().map(TargetEncoding::Misinterpreted);
+    let encodings = misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted);
+    let encodings = encodings.map(TargetEncoding::Rotations);
     let mut differences: Vec<(f64, TargetEncoding)> =
         encodings.map(|encoding| (difference_of(encoding), encoding)).collect();
     differences.retain(|(difference, _)| *difference < MAX_RESIDUAL_RATIO * as_logged);
@@ -218,7 +202,7 @@ fn estimate_scale_error(
     /// In standard errors and as a value, which lens distortion reaches.
     const MIN_STD_ERRORS: f64 = 5.0;
     const MIN_DEVIATION: f64 = 2e-3;
-    let setting = streams.setting(TargetEncoding::AsLogged, mount, MAX_FIT_POSES);
+    let setting = streams.setting(TargetEncoding::AS_LOGGED, mount, MAX_FIT_POSES);
     let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
     let (_, [camera, _]) = solve_closed_form_quick(&pairs)?;
     let along = Vec3::from(mean_direction(streams.target)).iamax();

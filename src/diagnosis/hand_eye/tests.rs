@@ -1,6 +1,7 @@
 //! Hand-eye calibration on synthetic poses.
 
 use super::*;
+use crate::PoseEncoding;
 use ground::geometry::{Axes, Vec3, pose, rotation_from_rotvec};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -194,7 +195,10 @@ fn other_target_encodings_are_identified() {
         let transposed = read(mount, &|observed| {
             Pose::from_parts(observed.translation, observed.rotation.inverse())
         });
-        assert!(matches!(transposed, TargetEncoding::Transposed), "{transposed:?}");
+        assert!(
+            matches!(transposed, TargetEncoding::Rotations(PoseEncoding::Transposed)),
+            "{transposed:?}"
+        );
         let small = read(mount, &|observed| {
             pose((observed.translation.vector * 0.9).into(), observed.rotation)
         });
