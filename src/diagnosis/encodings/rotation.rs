@@ -275,16 +275,13 @@ pub(crate) fn estimate_imu_encoding(
             && !tilts_gravity(fit, samples, forces)
     };
     let may_tilt_world = forces.is_empty() || !fits.iter().any(is_upright_slip);
-    // Whether the world's rotation is the only fault.
-    let turns_world_only = |fit: &EncodingFit| {
-        matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference)
-            && matches!(fit.encoding, PoseEncoding::AsLogged)
-    };
     let rank_of = |fit: &EncodingFit| {
+        // The world's rotation may be the only fault.
+        let may_tilt = may_tilt_world
+            && matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference)
+            && matches!(fit.encoding, PoseEncoding::AsLogged);
         let is_contradicted = fit.residual_rad <= accepted.max(by_links)
-            && ((!(may_tilt_world && turns_world_only(fit))
-                && tilts_gravity(fit, samples, forces))
-                || contradicts_gyro(&fit.tool));
+            && ((!may_tilt && tilts_gravity(fit, samples, forces)) || contradicts_gyro(&fit.tool));
         let penalty = if is_contradicted { CONTRADICTION_RANK_PENALTY } else { 0 };
         simplicity(fit, samples.reference_known) + penalty
     };
@@ -357,14 +354,11 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
 
 /// Rank by faults; lower is simpler. Rotation of an unknown reference does not count.
 fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
-    let fault =
-        u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
+    let fault = u8::from(!fit.encoding.is_as_logged());
+    let is_tool_free = matches!(fit.frames, FreeFrameErrors::Tool | FreeFrameErrors::Both);
     match reference_known {
         true => 2 * fit.frames.frame_count() + fault,
-        false => {
-            2 * fault
-                + u8::from(matches!(fit.frames, FreeFrameErrors::Tool | FreeFrameErrors::Both))
-        }
+        false => 2 * fault + u8::from(is_tool_free),
     }
 }
 
@@ -403,7 +397,7 @@ fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) ->
         LoggedRotations::Numbers(_) => candidate_encodings(samples),
     };
     let fits_without_fault = |encoding: PoseEncoding| {
-        let fits = fits_of_encoding(samples, &frames[..1], encoding);
+        let fits = fits(encoding, &samples.candidates(encoding), samples.fk, &frames[..1]);
         fits.iter().all(|fit| fit.residual_rad <= MAX_EXPLAINED_RAD && agrees(fit))
     };
     if faultless.into_iter().any(fits_without_fault) {
@@ -420,7 +414,10 @@ fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) ->
     let coarse =
         RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
     let screened = nearest_fits(&coarse, frames, SCREENING_ERROR_FACTOR);
-    let refit = |coarse: Vec<EncodingFit>| fits_of_encoding(samples, frames, coarse[0].encoding);
+    let refit = |coarse: Vec<EncodingFit>| {
+        let encoding = coarse[0].encoding;
+        fits(encoding, &samples.candidates(encoding), samples.fk, frames)
+    };
     screened.into_par_iter().flat_map_iter(refit).collect()
 }
 
@@ -452,7 +449,7 @@ fn nearest_fits(
             break;
         }
         let fit = |&candidate: &usize| {
-            let fits = fits_with(samples, frames, encodings[candidate], &candidates[candidate]);
+            let fits = fits(encodings[candidate], &candidates[candidate], samples.fk, frames);
             (min_residual_rad(&fits).unwrap_or(f64::INFINITY), candidate, fits)
         };
         fitted.par_extend(batch.par_iter().map(fit));
@@ -461,13 +458,10 @@ fn nearest_fits(
         limit = factor * max_accepted(min_residual);
     }
     fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let near = fitted.partition_point(|(residual, ..)| *residual <= limit).max(MIN_FITTED);
-    let kept = fitted.into_iter().enumerate();
-    let kept = kept.filter(|(rank, (_, candidate, _))| *rank < near || is_as_logged(candidate));
-    let mut kept: Vec<(usize, Vec<EncodingFit>)> =
-        kept.map(|(_, (_, candidate, fits))| (candidate, fits)).collect();
-    kept.sort_by_key(|(candidate, _)| *candidate);
-    kept.into_iter().map(|(_, fits)| fits).collect()
+    let limit = fitted.get(MIN_FITTED - 1).map_or(f64::INFINITY, |last| last.0.max(limit));
+    fitted.retain(|(residual, candidate, _)| *residual <= limit || is_as_logged(candidate));
+    fitted.sort_by_key(|(_, candidate, _)| *candidate);
+    fitted.into_iter().map(|(.., fits)| fits).collect()
 }
 
 /// Lower bound of [`residual`] with any constant frames: they keep the angle between two rotations, so the
@@ -520,31 +514,22 @@ fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     }
 }
 
-/// One fit per entry of `frames`.
-fn fits_of_encoding(
-    samples: &RotationSamples,
-    frames: &[FreeFrameErrors],
-    encoding: PoseEncoding,
-) -> Vec<EncodingFit> {
-    fits_with(samples, frames, encoding, &samples.candidates(encoding))
-}
-
-/// Same with the candidates of the encoding.
-fn fits_with(
-    samples: &RotationSamples,
-    frames: &[FreeFrameErrors],
+/// One fit of an encoding with its candidates per entry of `frames`.
+fn fits(
     encoding: PoseEncoding,
     candidates: &CandidateRotations,
+    fk: &[Rotation],
+    frames: &[FreeFrameErrors],
 ) -> Vec<EncodingFit> {
     let fit = |&frames: &FreeFrameErrors| {
-        let one = |which| fit_one_frame(candidates, samples.fk, which);
+        let one = |which| fit_one_frame(candidates, fk, which);
         let (reference, tool) = match frames {
             FreeFrameErrors::None => Default::default(),
             FreeFrameErrors::Tool => (Rotation::identity(), one(Frame::Tool)),
             FreeFrameErrors::Reference => (one(Frame::Reference), Rotation::identity()),
-            FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
+            FreeFrameErrors::Both => fit_both_frames(candidates, fk),
         };
-        let residual_rad = residual(candidates, samples.fk, &reference, &tool);
+        let residual_rad = residual(candidates, fk, &reference, &tool);
         EncodingFit { encoding, frames, reference, tool, residual_rad }
     };
     frames.iter().map(fit).collect()
@@ -552,7 +537,8 @@ fn fits_with(
 
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
-    let fits = fits_of_encoding(samples, allowed_frames(samples), encoding);
+    let candidates = samples.candidates(encoding);
+    let fits = fits(encoding, &candidates, samples.fk, allowed_frames(samples));
     let max_residual = max_similar(min_residual_rad(&fits)?);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
     max_residual.min_by_key(|fit| simplicity(fit, samples.reference_known))
@@ -626,9 +612,10 @@ mod tests {
                 .collect();
             let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
             for encoding in candidate_encodings(&samples) {
+                let candidates = samples.candidates(encoding);
                 let both = &[FreeFrameErrors::Both];
-                let residual = fits_of_encoding(&samples, both, encoding)[0].residual_rad;
-                let bound = residual_bound(&samples.candidates(encoding), &fk);
+                let residual = fits(encoding, &candidates, &fk, both)[0].residual_rad;
+                let bound = residual_bound(&candidates, &fk);
                 assert!(bound <= residual + 1e-9, "{encoding:?}: {residual} < {bound}");
                 smaller += usize::from(residual < 0.1);
             }
