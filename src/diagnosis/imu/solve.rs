@@ -1,7 +1,7 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
 use super::model::{Linearization, Model, Prior};
-use crate::solver::linear::{Linear, ReweightedFit, Weight};
+use crate::solver::linear::Weight;
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
 use ground::geometry::Vec3;
@@ -26,122 +26,105 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
     let mut linearization = model.linearize();
-    let excited = Excited::new(model, &linearization, free);
-    let mut remaining_steps = MAX_STEPS;
-    loop {
-        let linear = &linearization.linear;
-        let mut pull = DVector::zeros(linear.width);
+    let width = linearization.linear.width;
+    let [mut excited, mut fixed] = excited_directions(model, &linearization, free);
+    let mut all = free.to_vec();
+    let mut precision = DVector::zeros(width);
+    for Prior { column, variance, .. } in model.priors() {
+        precision[column] = variance.recip();
+        if !free.contains(&column) {
+            excited.push(unit(width, column));
+            all.push(column);
+        }
+    }
+    let basis = columns(width, &excited);
+    let noise = basis.tr_mul(&linearization.design_noise) * &basis;
+    let prior = basis.tr_mul(&DMatrix::from_diagonal(&precision)) * &basis;
+    let mut steps = 0;
+    let (linear, fit) = loop {
+        let linear = linearization.linear;
+        let mut pull = DVector::zeros(width);
         for prior in model.priors() {
             pull[prior.column] = -prior.value / prior.variance;
         }
-        let fit = excited.fit(linear, &pull);
-        remaining_steps -= 1;
+        let fit = linear.reweighted_fit(2, |normal| {
+            // Without the design noise, a step would overshoot where a prior shares its direction.
+            let matrix = basis.tr_mul(&normal.matrix) * &basis + &prior;
+            &basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(&normal.right + &pull)))
+        });
         let largest = free.iter().map(|&at| fit.step[at].abs()).fold(0.0, f64::max);
         model.common().apply(fit.step.as_slice());
         model.apply(fit.step.as_slice());
-        if remaining_steps == 0 || largest < CONVERGED_STEP {
-            return excited.solved(linear, fit);
+        steps += 1;
+        if steps == MAX_STEPS || largest < CONVERGED_STEP {
+            break (linear, fit);
         }
         linearization = model.linearize();
+    };
+    let noise = noise * fit.weights.first().map_or(0.0, Weight::base_weight);
+    let parts = linear.covariance_parts(&fit.weights);
+    let [information, scores] = parts.map(|part| basis.tr_mul(&part) * &basis);
+    let information = without_noise(information, &noise) + &prior;
+    let mut covariance = sandwich(&information, &(scores + &prior));
+    for (at, direction) in excited.into_iter().enumerate() {
+        if !covariance[(at, at)].is_finite() {
+            covariance.fill_row(at, 0.0);
+            covariance.fill_column(at, 0.0);
+            fixed.push(direction);
+        }
     }
+    let covariance = &basis * covariance * basis.transpose();
+    let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
+    let dof = fit.normal.dof(all.len() - random);
+    let residuals = fit.residuals.into_iter().flatten().collect();
+    Solved { free: all, covariance, fixed, dof, residuals }
 }
 
-/// Linear combinations of the free parameters.
-struct Excited {
-    free: Vec<usize>,
-    /// Excited ones, as columns over all parameters.
-    basis: DMatrix<f64>,
-    /// Directions that are not excited.
-    fixed: Vec<DVector<f64>>,
-    noise: DMatrix<f64>,
-    /// Precision of the priors.
-    prior: DMatrix<f64>,
-}
-
-impl Excited {
+/// Combinations of the `free` parameters that the motion excites, and those that it does not.
+fn excited_directions(
+    model: &mut impl Model,
+    Linearization { linear, design_noise, .. }: &Linearization,
+    free: &[usize],
+) -> [Vec<DVector<f64>>; 2] {
     /// Share of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a factor of
     /// two in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
-
-    fn new(model: &mut impl Model, linearization: &Linearization, free: &[usize]) -> Self {
-        let Linearization { linear, design_noise, .. } = linearization;
-        let width = linear.width;
-        let squares = linear.information(&linear.even_weights());
-        let units = DMatrix::identity(width, width);
-        let mut free = free.to_vec();
-        free.sort_unstable();
-        let mut basis: Vec<DVector<f64>> =
-            free.iter().map(|&column| units.column(column).into_owned()).collect();
-        let mut fixed = Vec::new();
-        let own_group = model.own_group();
-        for group in [own_group].into_iter().chain(model.common().groups()) {
-            let own_columns: Vec<usize> = group.filter(|column| free.contains(column)).collect();
-            if own_columns.is_empty() {
-                continue;
-            }
-            basis.retain(|direction| own_columns.iter().all(|&column| direction[column] == 0.0));
-            let own_columns = units.select_columns(&own_columns);
-            let others = columns(width, &basis);
-            // Effects that the other parameters do not explain.
-            let across = others.tr_mul(&squares) * &own_columns;
-            let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
-            let alone =
-                own_columns.tr_mul(&squares) * &own_columns - across.tr_mul(&(between * &across));
-            let by_noise = own_columns.tr_mul(design_noise) * &own_columns;
-            let eigen = (alone - by_noise / Self::MAX_NOISE_SHARE).symmetric_eigen();
-            for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
-                let direction = &own_columns * direction;
-                if *excess > 0.0 { basis.push(direction) } else { fixed.push(direction) }
-            }
+    let squares = linear.information(&linear.even_weights());
+    let units = |columns: &[usize]| -> Vec<DVector<f64>> {
+        columns.iter().map(|&column| unit(linear.width, column)).collect()
+    };
+    let mut free = free.to_vec();
+    free.sort_unstable();
+    let (mut excited, mut fixed) = (units(&free), Vec::new());
+    let own_group = model.own_group();
+    for group in [own_group].into_iter().chain(model.common().groups()) {
+        let own: Vec<usize> = group.filter(|column| free.contains(column)).collect();
+        if own.is_empty() {
+            continue;
         }
-        let mut precision = DMatrix::zeros(width, width);
-        for Prior { column, variance, .. } in model.priors() {
-            precision[(column, column)] = variance.recip();
-            if !free.contains(&column) {
-                basis.push(units.column(column).into_owned());
-                free.push(column);
-            }
+        excited.retain(|direction| own.iter().all(|&column| direction[column] == 0.0));
+        let others = columns(linear.width, &excited);
+        let own = columns(linear.width, &units(&own));
+        // Effects that the other parameters do not explain.
+        let across = others.tr_mul(&squares) * &own;
+        let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
+        let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
+        let by_noise = own.tr_mul(design_noise) * &own;
+        let eigen = (alone - by_noise / MAX_NOISE_SHARE).symmetric_eigen();
+        for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
+            let directions = if *excess > 0.0 { &mut excited } else { &mut fixed };
+            directions.push(&own * direction);
         }
-        let basis = columns(width, &basis);
-        let noise = basis.tr_mul(design_noise) * &basis;
-        let prior = basis.tr_mul(&precision) * &basis;
-        Self { free, basis, fixed, noise, prior }
     }
-
-    fn fit(&self, linear: &Linear, pull: &DVector<f64>) -> ReweightedFit {
-        let basis = &self.basis;
-        linear.reweighted_fit(2, |normal| {
-            // Without the design noise, a step would overshoot where a prior shares its direction.
-            let matrix = basis.tr_mul(&normal.matrix) * basis + &self.prior;
-            basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(&normal.right + pull)))
-        })
-    }
-
-    /// Covariance at the point of linearisation.
-    fn solved(self, linear: &Linear, fit: ReweightedFit) -> Solved {
-        let Self { free, basis, mut fixed, noise, prior } = self;
-        let noise = noise * fit.weights.first().map_or(0.0, Weight::base_weight);
-        let parts = linear.covariance_parts(&fit.weights);
-        let [information, scores] = parts.map(|part| basis.tr_mul(&part) * &basis);
-        let information = without_noise(information, &noise) + &prior;
-        let mut covariance = sandwich(&information, &(scores + &prior));
-        for (at, direction) in basis.column_iter().enumerate() {
-            if !covariance[(at, at)].is_finite() {
-                covariance.fill_row(at, 0.0);
-                covariance.fill_column(at, 0.0);
-                fixed.push(direction.into_owned());
-            }
-        }
-        let covariance = &basis * covariance * basis.transpose();
-        let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
-        let dof = fit.normal.dof(free.len() - random);
-        let residuals = fit.residuals.into_iter().flatten().collect();
-        Solved { free, covariance, fixed, dof, residuals }
-    }
+    [excited, fixed]
 }
 
 fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
     DMatrix::from_fn(width, directions.len(), |i, j| directions[j][i])
+}
+
+fn unit(width: usize, column: usize) -> DVector<f64> {
+    DVector::from_fn(width, |row, _| f64::from(row == column))
 }
 
 /// Information without the design noise. Zero along directions that have less: their noise must not use up a
