@@ -341,7 +341,7 @@ mod tests {
                 let sample = Sample {
                     moment: Moment { t_s, world_from_imu },
                     residual: error - Vec3::z() * fitted,
-                    by_latency: None,
+                    by_latency: Vec3::zeros(),
                     since_middle_s: since_s,
                     by_mount: [Vec3::zeros(); 3],
                     by_own: &[Vec3::z(), Vec3::z() * since_s],

@@ -149,8 +149,8 @@ impl Link<'_> {
                 start = k;
             }
         }
-        let mut buffers = self.buffers();
-        let mut is_covered = |k: usize| self.at(delay.truth_s(t_s[k]), &mut buffers).is_some();
+        let mut joints = self.joints.sequence();
+        let mut is_covered = |k: usize| self.at(delay.truth_s(t_s[k]), &mut joints).is_some();
         windows.retain(|window| is_covered(*window.start()) && is_covered(*window.end()));
         thinned(windows, MAX_WINDOWS).collect()
     }
@@ -220,12 +220,12 @@ impl GyroModel<'_> {
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
         let unscale = self.unscale();
-        let mut buffers = self.link.buffers();
+        let mut joints = self.link.joints.sequence();
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
             let truth_s = self.common.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
             let [before, state, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
-                .map(|around_s| self.link.at(truth_s + around_s, &mut buffers));
+                .map(|around_s| self.link.at(truth_s + around_s, &mut joints));
             let (before, state, after) = (before?, state?, after?);
             let change = (after.body_rate() - before.body_rate()) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
@@ -272,11 +272,11 @@ impl GyroModel<'_> {
 
     /// Windows, with the stamps and the states of the link at both ends.
     fn ends(&self) -> impl Iterator<Item = (&RangeInclusive<usize>, [(f64, LinkState); 2])> {
-        let mut buffers = self.link.buffers();
+        let mut joints = self.link.joints.sequence();
         let t_s = &self.link.stream.track.t_s;
         self.windows.iter().filter_map(move |window| {
             let mut end = |k: usize| {
-                Some((t_s[k], self.link.at(self.common.delay.truth_s(t_s[k]), &mut buffers)?))
+                Some((t_s[k], self.link.at(self.common.delay.truth_s(t_s[k]), &mut joints)?))
             };
             Some((window, [end(*window.start())?, end(*window.end())?]))
         })
@@ -434,7 +434,7 @@ impl Model for GyroModel<'_> {
             let sample = Sample {
                 moment: Moment { t_s: 0.5 * (from_s + to_s), world_from_imu: Rotation::identity() },
                 residual: residual * per_s,
-                by_latency: moving.then(|| -rate_difference * per_s),
+                by_latency: if moving { -rate_difference * per_s } else { Vec3::zeros() },
                 since_middle_s,
                 by_mount: units.map(|unit| (unit - last_from_first * unit) * per_s),
                 by_own: &[&by_bias[..], &by_scale_error].concat(),

@@ -235,14 +235,6 @@ struct Link<'a> {
     middle_s: f64,
 }
 
-fn joint_noise(joints: &JointTrack, column: usize, rest_speeds: &[f64]) -> [f64; 2] {
-    if let Some(noise) = joints.noise.get(column) {
-        return noise.map(|sigma| sigma * sigma);
-    }
-    let q: Vec<f64> = joints.positions_of(column).collect();
-    [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
-}
-
 /// Noise between samples along each axis.
 fn noise_of_axes(vectors: &[Vec3]) -> Vec3 {
     Vec3::from_fn(|axis, _| {
@@ -263,6 +255,8 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
 /// State of the link at one time.
 #[derive(Default)]
 struct LinkState {
+    /// Joint positions in chain order.
+    q: Vec<f64>,
     /// `base_from_link`.
     rotation: Rotation,
     /// In base, m.
@@ -301,18 +295,18 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     mean(values.map(|value| value * value)).sqrt()
 }
 
-struct LinkBuffers<'a> {
-    joints: JointSequence<'a>,
-    q: Vec<f64>,
-    jacobian: Vec<[f64; 6]>,
-}
-
 impl<'a> Link<'a> {
     fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuConventions) -> Self {
         let t_s = &stream.track.t_s;
         let middle_s = 0.5 * (t_s.first().unwrap_or(&0.0) + t_s.last().unwrap_or(&0.0));
         let rest_speeds = rest_speeds(joints);
-        let noise = |&column: &usize| joint_noise(joints, column, &rest_speeds);
+        let noise = |&column: &usize| match joints.noise.get(column) {
+            Some(noise) => noise.map(|sigma| sigma * sigma),
+            None => {
+                let q: Vec<f64> = joints.positions_of(column).collect();
+                [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
+            }
+        };
         let joint_noise = stream.columns.iter().map(noise).collect();
         Self { joints, stream, numbers, rest_speeds, joint_noise, middle_s }
     }
@@ -326,24 +320,15 @@ impl<'a> Link<'a> {
         Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
 
-    fn buffers(&self) -> LinkBuffers<'a> {
-        let joints = self.stream.columns.len();
-        LinkBuffers {
-            joints: self.joints.sequence(),
-            q: vec![0.0; joints],
-            jacobian: vec![[0.0; 6]; joints],
-        }
-    }
-
-    fn at(&self, t_s: f64, buffers: &mut LinkBuffers) -> Option<LinkState> {
-        let (q, qd) = buffers.joints.at(t_s)?;
-        for (joint_q, &column) in buffers.q.iter_mut().zip(self.stream.columns) {
-            *joint_q = q[column];
-        }
-        let pose = self.stream.chain.forward_with_jacobian(&buffers.q, &mut buffers.jacobian);
+    fn at(&self, t_s: f64, joints: &mut JointSequence) -> Option<LinkState> {
+        let (q, qd) = joints.at(t_s)?;
+        let ImuStream { chain, columns, .. } = self.stream;
+        let q: Vec<f64> = columns.iter().map(|&column| q[column]).collect();
+        let mut jacobian = vec![[0.0; 6]; columns.len()];
+        let pose = chain.forward_with_jacobian(&q, &mut jacobian);
         let (rotation, position) = (pose.rotation, pose.translation.vector);
-        let mut link_state = LinkState { rotation, position, ..LinkState::default() };
-        let columns = buffers.jacobian.iter().zip(self.stream.columns).zip(&self.joint_noise);
+        let mut link_state = LinkState { q, rotation, position, ..LinkState::default() };
+        let columns = jacobian.iter().zip(*columns).zip(&self.joint_noise);
         for ((column, &track), [position, velocity]) in columns {
             let axis = Vec3::new(column[3], column[4], column[5]);
             link_state.rate += axis * qd[track];
@@ -395,8 +380,8 @@ impl<'a> Link<'a> {
         rows: impl Iterator<Item = usize>,
         delay: Delay,
     ) -> impl Iterator<Item = (usize, LinkState)> {
-        let mut buffers = self.buffers();
+        let mut joints = self.joints.sequence();
         let t_s = &self.stream.track.t_s;
-        rows.filter_map(move |row| Some((row, self.at(delay.truth_s(t_s[row]), &mut buffers)?)))
+        rows.filter_map(move |row| Some((row, self.at(delay.truth_s(t_s[row]), &mut joints)?)))
     }
 }

@@ -199,8 +199,8 @@ pub(super) struct Moment {
 pub(super) struct Sample<'a> {
     pub moment: Moment,
     pub residual: Vec3,
-    /// By a later measurement. `None` at rest.
-    pub by_latency: Option<Vec3>,
+    /// By a later measurement. Zero at rest.
+    pub by_latency: Vec3,
     /// Time for the skew, from the middle of the run.
     pub since_middle_s: f64,
     /// By rotations about the axes of the IMU.
@@ -222,18 +222,15 @@ impl Linearization {
 
     pub fn push(&mut self, common: &CommonParameters, sample: Sample) {
         let mut rows = self.linear.push(&[sample.residual]);
-        if let Some(later) = sample.by_latency {
-            rows.set(0, CommonParameters::LATENCY, later);
-            rows.set(0, CommonParameters::SKEW, later * sample.since_middle_s);
-        }
         let Moment { t_s, world_from_imu } = &sample.moment;
         // The mount is applied before the slip.
         let before_slip = common.mount_at(*t_s).inverse() * common.link_from_imu;
         let before_slip = before_slip.to_rotation_matrix();
         let by_mount = Matrix3::from_columns(&sample.by_mount) * before_slip.matrix();
-        let columns = by_mount.column_iter().map(|column| column.into_owned());
-        rows.set_from(CommonParameters::MOUNT.start, columns);
-        rows.set_from(CommonParameters::WIDTH, sample.by_own.iter().copied());
+        let by_mount = by_mount.column_iter().map(|column| column.into_owned());
+        let by_delay = [sample.by_latency, sample.by_latency * sample.since_middle_s];
+        let by_own = sample.by_own.iter().copied();
+        rows.set_from(0, by_delay.into_iter().chain(by_mount).chain(by_own));
         let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
         common.effects.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
         self.moments.push(sample.moment);

@@ -186,9 +186,9 @@ impl OrientationModel<'_> {
 
     /// Stamps, decoded orientations and states of the link.
     fn states(&self) -> impl Iterator<Item = (f64, &Rotation, LinkState)> {
-        let mut buffers = self.link.buffers();
+        let mut joints = self.link.joints.sequence();
         self.samples.iter().filter_map(move |(stamp_s, truth)| {
-            let state = self.link.at(self.common.delay.truth_s(*stamp_s), &mut buffers)?;
+            let state = self.link.at(self.common.delay.truth_s(*stamp_s), &mut joints)?;
             Some((*stamp_s, truth, state))
         })
     }
@@ -274,11 +274,11 @@ impl OrientationModel<'_> {
 
     /// Residual rotations and angular velocity by FK, with this latency compensated in addition to the model's.
     fn latency_samples(&self, solved: &Solved, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
-        let mut buffers = self.link.buffers();
+        let mut joints = self.link.joints.sequence();
         let samples =
             self.states().zip(&solved.residuals).filter_map(|((t_s, _, state), residual)| {
                 let then =
-                    self.link.at(self.common.delay.truth_s(t_s - late_s(t_s)), &mut buffers)?;
+                    self.link.at(self.common.delay.truth_s(t_s - late_s(t_s)), &mut joints)?;
                 let turned = then.rotation * state.rotation.inverse();
                 let in_world = |by_link: Vec3| self.world_from_base * by_link;
                 let residual = residual - in_world(rotvec_from_rotation(&turned));
@@ -336,10 +336,8 @@ impl Model for OrientationModel<'_> {
     fn linearize(&self) -> Linearization {
         let common = &self.common;
         let mut linearization = Linearization::new(common, self.samples.len(), FLOOR_RAD);
-        let (mut buffers, mut frames) = (self.link.buffers(), Vec::new());
-        for &(t_s, truth) in &self.samples {
-            let truth_s = common.delay.truth_s(t_s);
-            let Some(state) = self.link.at(truth_s, &mut buffers) else { continue };
+        let mut frames = Vec::new();
+        for (t_s, truth, state) in self.states() {
             let since_middle_s = t_s - common.delay.middle_s;
             let base_from_imu = state.rotation * common.mount_at(t_s);
             linearization.add_mount_noise(common, t_s, &base_from_imu, &state.rotation_noise);
@@ -353,14 +351,14 @@ impl Model for OrientationModel<'_> {
             let units = [0, 1, 2].map(|axis| Vec3::ith(axis, 1.0));
             let mut by_own = units.map(|unit| yaw * unit).to_vec();
             by_own.push(Vec3::z() * since_middle_s);
-            self.link.stream.chain.joint_frames(&buffers.q, &mut frames);
+            self.link.stream.chain.joint_frames(&state.q, &mut frames);
             for frame in frames.iter().take(self.link.inner_links()) {
                 by_own.extend(units.map(|unit| world * (frame.rotation * unit)));
             }
             let sample = Sample {
                 moment: Moment { t_s, world_from_imu },
                 residual: rotvec_from_rotation(&(truth * predicted.inverse())),
-                by_latency: state.moving.then(|| -(world * state.rate)),
+                by_latency: if state.moving { -(world * state.rate) } else { Vec3::zeros() },
                 since_middle_s,
                 by_mount: units.map(|unit| predicted * unit),
                 by_own: &by_own,

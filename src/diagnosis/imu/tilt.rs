@@ -36,8 +36,8 @@ impl Link<'_> {
         let track = self.stream.track;
         let imu_in_link =
             self.stream.link_from_imu.map_or(Vec3::zeros(), |pose| pose.translation.vector);
-        let mut buffers = self.buffers();
-        let mut at = |row: usize, by_s: f64| self.at(track.t_s[row] - lag_s + by_s, &mut buffers);
+        let mut joints = self.joints.sequence();
+        let mut at = |row: usize, by_s: f64| self.at(track.t_s[row] - lag_s + by_s, &mut joints);
         let rows = self.rows().filter(|_| !track.orientation.is_empty());
         let samples: Vec<(usize, [LinkState; 3])> = rows
             .filter_map(|row| Some((row, [at(row, -STEP_S)?, at(row, 0.0)?, at(row, STEP_S)?])))
