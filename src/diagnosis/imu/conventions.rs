@@ -89,17 +89,15 @@ impl ImuConventions {
         let (moving, resting): (Vec<_>, Vec<_>) = states.partition(|(_, state)| state.moving);
         let moving = if followed_s.is_some() { moving } else { Vec::new() };
         let pairs = rate_pairs(stream.track, &moving);
-        let plateaus = SaturationLevel::detect_all(&stream.track.gyro);
-        let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
-        let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
+        let plateaus = plateaus(&stream.track.gyro);
+        let free = without_plateaus(&pairs, &plateaus);
         // A value read all the time is no range limit.
         let free = if free.len() < MIN_FIT_SAMPLES { pairs.clone() } else { free };
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
         let free = scaled(&free, &Vec3::repeat(factor));
         let mirrored_axis = mirrored_axis(&free, link.known_mount());
-        let rows = stream.track.gyro.len();
-        let saturation = detect_saturation(&plateaus, &pairs, &free, factor, rows);
+        let saturation = detect_saturation(&plateaus, &stream.track.gyro, &pairs, &free, factor);
         let rests: Vec<usize> = resting.iter().map(|(row, _)| *row).collect();
         let accel = accel_unit_error(stream.track, &rests);
         Self { degrees, accel, saturation, mirrored_axis }
@@ -124,30 +122,32 @@ impl ImuConventions {
     }
 
     pub(super) fn saturates(&self, gyro: &Vec3) -> bool {
-        self.saturation.as_ref().is_some_and(|clipped| {
-            let limit = clipped.limit_rad_s * (1.0 - EQUALITY_TOLERANCE);
-            clipped.axes.iter().any(|&axis| gyro[axis].abs() >= limit)
+        self.saturation.as_ref().is_some_and(|GyroSaturation { limit_rad_s, axes, .. }| {
+            axes.iter().any(|&axis| reaches(gyro[axis], *limit_rad_s))
         })
     }
 }
 
-const EQUALITY_TOLERANCE: f64 = 1e-5;
+fn reaches(rate: f64, limit: f64) -> bool {
+    const EQUALITY_TOLERANCE: f64 = 1e-5;
+    rate.abs() >= limit * (1.0 - EQUALITY_TOLERANCE)
+}
 
-/// Row, gyro, and FK body rate of the link, rad/s.
-pub(super) type RatePair = (usize, Vec3, Vec3);
+/// Gyro, and FK body rate of the link, rad/s.
+pub(super) type RatePair = (Vec3, Vec3);
 
 pub(super) fn rate_pairs(track: &ImuTrack, states: &[(usize, LinkState)]) -> Vec<RatePair> {
-    states.iter().map(|(row, state)| (*row, track.gyro[*row], state.body_rate())).collect()
+    states.iter().map(|(row, state)| (track.gyro[*row], state.body_rate())).collect()
 }
 
 /// Multiplies each axis of the gyro by a factor.
 fn scaled(pairs: &[RatePair], factors: &Vec3) -> Vec<RatePair> {
-    pairs.iter().map(|&(row, gyro, rate)| (row, gyro.component_mul(factors), rate)).collect()
+    pairs.iter().map(|(gyro, rate)| (gyro.component_mul(factors), *rate)).collect()
 }
 
 /// Rms rate of the link.
 fn rms_rate(pairs: &[RatePair]) -> f64 {
-    rms(pairs.iter().map(|(_, _, rate)| rate.norm()))
+    rms(pairs.iter().map(|(_, rate)| rate.norm()))
 }
 
 /// Residuals if the gyro matches the arm only in °/s.
@@ -157,8 +157,8 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     /// Share of the arm's rate, in °/s; a gyro has smaller residuals.
     const MAX_RESIDUAL_SHARE: f64 = 0.7;
     let by_fk = rms_rate(pairs);
-    let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
-    let mut ratios: Vec<f64> = fast.map(|(_, gyro, rate)| gyro.norm() / rate.norm()).collect();
+    let fast = pairs.iter().filter(|(_, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
+    let mut ratios: Vec<f64> = fast.map(|(gyro, rate)| gyro.norm() / rate.norm()).collect();
     if ratios.len() < MIN_FIT_SAMPLES {
         return None;
     }
@@ -182,14 +182,14 @@ pub(super) struct Alignment {
 
 impl Alignment {
     pub fn fit(pairs: &[RatePair]) -> Self {
-        let mean = mean_vector(pairs.iter().map(|(_, gyro, _)| gyro));
-        let mean_rate = mean_vector(pairs.iter().map(|(_, _, rate)| rate));
+        let mean = mean_vector(pairs.iter().map(|(gyro, _)| gyro));
+        let mean_rate = mean_vector(pairs.iter().map(|(_, rate)| rate));
         let products =
-            pairs.iter().map(|(_, gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose());
+            pairs.iter().map(|(gyro, rate)| (rate - mean_rate) * (gyro - mean).transpose());
         let link_from_imu = rotation_by_wahba(&products.sum());
         let bias = mean - link_from_imu.inverse() * mean_rate;
         let mut found = Self { link_from_imu, bias, mean_rate, residual: 0.0 };
-        let residuals = pairs.iter().map(|(_, gyro, rate)| (gyro - found.expected(rate)).norm());
+        let residuals = pairs.iter().map(|(gyro, rate)| (gyro - found.expected(rate)).norm());
         found.residual = rms(residuals);
         found
     }
@@ -222,40 +222,35 @@ fn mirrored_axis(pairs: &[RatePair], known_mount: Option<Rotation>) -> Option<us
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
 }
 
-/// Gyro axis that repeatedly measures its extreme value.
-struct SaturationLevel {
-    axis: usize,
-    extreme: f64,
-    at: Vec<bool>,
+/// Gyro axes that repeatedly measure their extreme value, with that value.
+fn plateaus(gyro: &[Vec3]) -> Vec<(usize, f64)> {
+    const MIN_SATURATED_SAMPLES: usize = 8;
+    const MIN_CONSECUTIVE_SAMPLES: usize = 3;
+    let of = |axis: usize| {
+        let extreme = gyro.iter().map(|gyro| gyro[axis].abs()).fold(0.0, f64::max);
+        let at: Vec<bool> = gyro.iter().map(|gyro| reaches(gyro[axis], extreme)).collect();
+        let mut runs = at.chunk_by(|a, b| a == b).filter(|run| run[0]);
+        let is_plateau = extreme > 0.0
+            && runs.any(|run| run.len() >= MIN_CONSECUTIVE_SAMPLES)
+            && at.iter().filter(|at| **at).count() >= MIN_SATURATED_SAMPLES;
+        is_plateau.then_some((axis, extreme))
+    };
+    (0..3).filter_map(of).collect()
 }
 
-impl SaturationLevel {
-    fn detect_all(gyro: &[Vec3]) -> Vec<Self> {
-        const MIN_SATURATED_SAMPLES: usize = 8;
-        const MIN_CONSECUTIVE_SAMPLES: usize = 3;
-        let of = |axis: usize| {
-            let most = gyro.iter().map(|gyro| gyro[axis].abs()).fold(0.0, f64::max);
-            let limit = most * (1.0 - EQUALITY_TOLERANCE);
-            let at: Vec<bool> = gyro.iter().map(|gyro| gyro[axis].abs() >= limit).collect();
-            let runs = at.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len);
-            let is_long = runs.max().is_some_and(|longest| longest >= MIN_CONSECUTIVE_SAMPLES);
-            let is_plateau = most > 0.0
-                && is_long
-                && at.iter().filter(|at| **at).count() >= MIN_SATURATED_SAMPLES;
-            is_plateau.then_some(Self { axis, extreme: most, at })
-        };
-        (0..3).filter_map(of).collect()
-    }
+fn without_plateaus(pairs: &[RatePair], plateaus: &[(usize, f64)]) -> Vec<RatePair> {
+    let is_at = |gyro: &Vec3| plateaus.iter().any(|&(axis, extreme)| reaches(gyro[axis], extreme));
+    pairs.iter().filter(|(gyro, _)| !is_at(gyro)).copied().collect()
 }
 
 /// The gyro stays at an extreme while the arm turns faster. `free` pairs, in rad/s, determine the mount; `factor`
 /// converts the others.
 fn detect_saturation(
-    plateaus: &[SaturationLevel],
+    plateaus: &[(usize, f64)],
+    gyro: &[Vec3],
     pairs: &[RatePair],
     free: &[RatePair],
     factor: f64,
-    rows: usize,
 ) -> Option<GyroSaturation> {
     /// Median ratio of the expected rate to the extreme.
     const MIN_EXPECTED_RATIO: f64 = 1.03;
@@ -264,23 +259,22 @@ fn detect_saturation(
     }
     let mount = Alignment::fit(free);
     // With the largest rate by FK.
-    let passed = plateaus.iter().filter_map(|plateau| {
-        let axis = plateau.axis;
-        let rates = pairs.iter().filter(|(row, ..)| plateau.at[*row]);
-        let expected =
-            |(_, gyro, rate): &RatePair| mount.expected(rate)[axis] * gyro[axis].signum();
+    let passed = plateaus.iter().filter_map(|&(axis, extreme)| {
+        let rates = pairs.iter().filter(|(gyro, _)| reaches(gyro[axis], extreme));
+        let expected = |(gyro, rate): &RatePair| mount.expected(rate)[axis] * gyro[axis].signum();
         let mut faster: Vec<f64> = rates.map(expected).collect();
-        let is_passed = median(&mut faster)? > MIN_EXPECTED_RATIO * plateau.extreme * factor;
-        is_passed.then(|| (plateau, faster.into_iter().fold(0.0, f64::max)))
+        let is_passed = median(&mut faster)? > MIN_EXPECTED_RATIO * extreme * factor;
+        is_passed.then(|| (axis, extreme, faster.into_iter().fold(0.0, f64::max)))
     });
-    let passed: Vec<(&SaturationLevel, f64)> = passed.collect();
-    let limit = passed.iter().map(|(plateau, _)| plateau.extreme).reduce(f64::min)?;
-    let any = (0..rows).filter(|&row| passed.iter().any(|(plateau, _)| plateau.at[row])).count();
+    let passed: Vec<(usize, f64, f64)> = passed.collect();
+    let limit = passed.iter().map(|(_, extreme, _)| *extreme).reduce(f64::min)?;
+    let is_clipped =
+        |gyro: &&Vec3| passed.iter().any(|&(axis, extreme, _)| reaches(gyro[axis], extreme));
     Some(GyroSaturation {
         limit_rad_s: limit * factor,
-        axes: passed.iter().map(|(plateau, _)| plateau.axis).collect(),
-        share: any as f64 / rows as f64,
-        by_fk_rad_s: passed.iter().map(|(_, by_fk)| *by_fk).fold(0.0, f64::max),
+        axes: passed.iter().map(|(axis, ..)| *axis).collect(),
+        share: gyro.iter().filter(is_clipped).count() as f64 / gyro.len() as f64,
+        by_fk_rad_s: passed.iter().map(|(.., by_fk)| *by_fk).fold(0.0, f64::max),
     })
 }
 
@@ -313,7 +307,7 @@ mod tests {
             let t = 0.01 * k as f64;
             Vec3::new((1.3 * t).sin(), (0.7 * t + PI / 3.0).cos(), (2.1 * t).sin())
         };
-        (0..2000).map(|k| (k, gyro(mount.inverse() * rate(k)), rate(k))).collect()
+        (0..2000).map(|k| (gyro(mount.inverse() * rate(k)), rate(k))).collect()
     }
 
     #[test]
@@ -329,17 +323,16 @@ mod tests {
     fn a_gyro_that_stops_at_a_value_below_the_arms_rate_saturates() {
         let clip = |rate: Vec3| rate.map(|one| one.clamp(-0.8, 0.8));
         let both = pairs(clip);
-        let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
-        let found = saturation(&gyro, &both).unwrap();
+        let found = saturation(&both).unwrap();
         assert!((found.limit_rad_s - 0.8).abs() < 1e-9 && found.share > 0.05, "{found:?}");
         assert!(found.by_fk_rad_s > 1.0, "{found:?}");
     }
 
-    fn saturation(gyro: &[Vec3], pairs: &[RatePair]) -> Option<GyroSaturation> {
-        let plateaus = SaturationLevel::detect_all(gyro);
-        let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
-        let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
-        detect_saturation(&plateaus, pairs, &free, 1.0, gyro.len())
+    fn saturation(pairs: &[RatePair]) -> Option<GyroSaturation> {
+        let gyro: Vec<Vec3> = pairs.iter().map(|pair| pair.0).collect();
+        let plateaus = plateaus(&gyro);
+        let free = without_plateaus(pairs, &plateaus);
+        detect_saturation(&plateaus, &gyro, pairs, &free, 1.0)
     }
 
     #[test]
@@ -355,8 +348,7 @@ mod tests {
     fn a_coarse_gyro_that_repeats_its_peak_does_not_saturate() {
         let coarse = |rate: Vec3| rate.map(|one| (one / 0.05).round() * 0.05);
         let both = pairs(coarse);
-        let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
-        assert_eq!(saturation(&gyro, &both), None);
+        assert_eq!(saturation(&both), None);
     }
 
     #[test]

@@ -99,10 +99,10 @@ fn orientation_residual(
 fn gyro_residual(link: &Link, link_states: &[(usize, LinkState)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
     let mut pairs = rate_pairs(link.stream.track, link_states);
-    pairs.retain(|(_, gyro, _)| !link.numbers.saturates(gyro));
+    pairs.retain(|(gyro, _)| !link.numbers.saturates(gyro));
     let Alignment { link_from_imu, bias, mean_rate, residual } = Alignment::fit(&pairs);
     let (mut along, mut square) = (0.0, 0.0);
-    for (_, gyro, rate) in &pairs {
+    for (gyro, rate) in &pairs {
         let rate = rate - mean_rate;
         along += rate.dot(&(link_from_imu * (gyro - bias) - mean_rate));
         square += rate.norm_squared();
