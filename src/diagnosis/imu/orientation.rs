@@ -219,19 +219,18 @@ impl OrientationModel<'_> {
                     let weights = |Moment { t_s, world_from_imu }: &Moment| {
                         DVector::from_vec(effect.profile.weights(*t_s, world_from_imu))
                     };
-                    let all: Vec<DVector<f64>> =
+                    let mut all: Vec<DVector<f64>> =
                         self.linearize().moments.iter().map(weights).collect();
                     let values = DVector::from_column_slice(&effect.values);
-                    let error = |weights: &&DVector<f64>| weights.dot(&values);
-                    let min = all.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
-                    let max = all.iter().max_by(|a, b| error(a).total_cmp(&error(b)));
-                    let along = min.zip(max).map(|(min, max)| 0.5 * (max - min));
-                    profile.heading = along.and_then(|along| {
+                    all.sort_by(|a, b| a.dot(&values).total_cmp(&b.dot(&values)));
+                    if let [min, .., max] = all.as_slice() {
+                        let along = 0.5 * (max - min);
                         let (columns, half) = (effect.columns.clone(), along.dot(&values));
-                        let amplitude_rad =
-                            solved.measure_combination(columns, along.as_slice(), half).ok()?;
-                        Some(HeadingError { amplitude_rad, axis })
-                    });
+                        let amplitude = solved.measure_combination(columns, along.as_slice(), half);
+                        profile.heading = amplitude
+                            .ok()
+                            .map(|amplitude_rad| HeadingError { amplitude_rad, axis });
+                    }
                 }
                 Profile::Walk { density, .. } => profile.walk_rad_per_sqrt_s = Some(density),
             }
