@@ -6,8 +6,7 @@ use super::axis_convention::PositionEncoding;
 use super::orientation_samples::{MAX_ENCODING_RESIDUAL_RAD, PositionInterpretation};
 use super::position::{PositionEncodingEstimate, follows_as_logged};
 use super::rotation::{
-    EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationCorrections,
-    RotationDecoder, RotationSamples, estimate_encoding,
+    EncodingFit, LoggedRotations, MAX_RESIDUAL_DIFFERENCE_RAD, RotationSamples, estimate_encoding,
 };
 use crate::distinct::distinct;
 use crate::frames::position_fit::spread;
@@ -83,7 +82,7 @@ pub(crate) fn decode_stream<'a>(
     let interpretations = interpretations(placement, spread(&at), reference_known);
     let first = interpretations[0];
     let (other, degrees) =
-        in_other_angle_unit(track, &rows, &turning, reference_known, first.corrections()).unzip();
+        in_other_angle_unit(track, &rows, &turning, reference_known, &first).unzip();
     let orientation = other.map_or(Cow::Borrowed(&track.orientation), Cow::Owned);
     let there = orientation.at_rows(&rows);
     let logged = LoggedRotations::from_orientations(&there);
@@ -122,11 +121,9 @@ pub(crate) fn decode_stream<'a>(
             &[],
         )
     };
-    let decoder = fit.as_ref().map(|fit| {
-        let logged = LoggedRotations::from_orientations(&orientation);
-        (fit, RotationDecoder::new(fit.encoding, interpretation.corrections(), logged))
-    });
-    choose_branches(&mut observations, decoder, &interpretation, lag_s, &read_as.offsets);
+    let logged = interpretation.rotations(LoggedRotations::from_orientations(&orientation));
+    let fitted = fit.as_ref().map(|fit| (fit, logged));
+    choose_branches(&mut observations, fitted, &interpretation, lag_s, &read_as.offsets);
     check_sample_count(observations.len(), 3)?;
     let moves = observations.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
         && !peaks.is_empty();
@@ -235,7 +232,7 @@ fn in_other_angle_unit(
     rows: &[usize],
     fk: &[Rotation],
     reference_known: bool,
-    after: RotationCorrections,
+    interpretation: &PositionInterpretation,
 ) -> Option<(Orientations, UnitResiduals)> {
     let other = match (&track.orientation, &track.declared) {
         (Orientations::Numbers(numbers), _) => {
@@ -253,10 +250,9 @@ fn in_other_angle_unit(
     }
     let residual = |orientation: &Orientations| {
         let there = orientation.at_rows(rows);
-        let logged = LoggedRotations::from_orientations(&there);
+        let logged = interpretation.rotations(LoggedRotations::from_orientations(&there));
         let samples = RotationSamples {
             are_quaternions: are_quaternions(track),
-            after,
             ..RotationSamples::new(logged, fk, reference_known)
         };
         estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
@@ -279,7 +275,7 @@ fn are_quaternions(track: &PoseTrack) -> bool {
 /// encoding, uses FK's rotations.
 fn choose_branches(
     observations: &mut PoseObservations,
-    mut fitted: Option<(&EncodingFit, RotationDecoder)>,
+    fitted: Option<(&EncodingFit, LoggedRotations)>,
     interpretation: &PositionInterpretation,
     lag_s: f64,
     offsets: &[f64],
@@ -288,8 +284,10 @@ fn choose_branches(
     let mut predictor = observations.at(&state, offsets).predictor();
     let decode = |k: usize| {
         let fk = predictor.pose_at(k)?.rotation;
-        let rotation = match &mut fitted {
-            Some((fit, decoder)) => decoder.nearest(k, &(fit.reference * fk * fit.tool))?,
+        let rotation = match &fitted {
+            Some((fit, logged)) => {
+                logged.nearest(fit.encoding, k, &(fit.reference * fk * fit.tool))?
+            }
             None => interpretation.reference.unwrap_or_default() * fk,
         };
         Some((k, rotation))

@@ -2,8 +2,8 @@
 
 use super::axis_convention::{PositionEncoding, axes_matrix};
 use super::rotation::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, estimate_encoding,
-    fit_known, number_encodings, simple_encodings,
+    EncodingFit, LoggedRotations, LoggedValues, RotationSamples, estimate_encoding, fit_known,
+    number_encodings, simple_encodings,
 };
 use crate::PoseEncoding;
 use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
@@ -72,8 +72,9 @@ impl PositionInterpretation {
             == (other.axes, other.is_inverted, other.reference)
     }
 
-    pub fn corrections(&self) -> RotationCorrections {
-        RotationCorrections::new(self.axes.rotations, self.is_inverted)
+    /// Logged rotations in this interpretation.
+    pub fn rotations<'a>(&self, logged: LoggedRotations<'a>) -> LoggedRotations<'a> {
+        logged.with_axes(self.axes.rotations, self.is_inverted)
     }
 
     /// m, before any inversion.
@@ -105,9 +106,9 @@ impl RotationSamples<'_> {
 
     /// Smallest residual of the simplest encodings, rad.
     fn simplest_residual_rad(&self, interpretation: &PositionInterpretation) -> f64 {
-        let encodings: Vec<PoseEncoding> = match self.logged {
-            LoggedRotations::Rotations(_) => simple_encodings().collect(),
-            LoggedRotations::Numbers(_) => number_encodings().collect(),
+        let encodings: Vec<PoseEncoding> = match self.logged.values {
+            LoggedValues::Rotations(_) => simple_encodings().collect(),
+            LoggedValues::Numbers(_) => number_encodings().collect(),
         };
         self.interpreted(interpretation, |samples| {
             let fits = encodings.into_iter().filter_map(|encoding| fit_known(samples, encoding));
@@ -127,14 +128,14 @@ impl RotationSamples<'_> {
             fk: &turned,
             reference_free: interpretation.reference.is_none(),
             reference_known: self.reference_known || interpretation.reference.is_some(),
-            after: interpretation.corrections(),
+            logged: interpretation.rotations(self.logged),
             ..*self
         })
     }
 
     /// Rms angle of logged rotations to FK, rad.
     fn as_logged_rad(&self) -> Option<f64> {
-        let LoggedRotations::Rotations(logged) = self.logged else { return None };
+        let LoggedValues::Rotations(logged) = self.logged.values else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
         Some(mean(squares).sqrt())
     }

@@ -1,8 +1,6 @@
 //! Decodes streams with a declared encoding; FK resolves ambiguous rotations.
 
-use super::rotation::{
-    LoggedRotations, RotationCorrections, RotationDecoder, RotationSamples, fit_known,
-};
+use super::rotation::{LoggedRotations, RotationSamples, fit_known};
 use crate::latency::correlation::stream_lag_s;
 use crate::samples::sampling::FkSequence;
 use crate::{AxesError, PoseEncoding, PoseStream};
@@ -67,17 +65,15 @@ pub(crate) fn decode_rotations(
     if there.is_empty() {
         return None;
     }
-    let after = RotationCorrections::new(intended.axes.rotations, intended.is_inverted);
-    let logged_there = LoggedRotations::Rotations(&there);
-    let samples =
-        RotationSamples { after, ..RotationSamples::new(logged_there, &fk, reference_known) };
+    let [there, logged] = [&there, logged].map(|rotations| {
+        LoggedRotations::new(rotations).with_axes(intended.axes.rotations, intended.is_inverted)
+    });
+    let samples = RotationSamples::new(there, &fk, reference_known);
     let fit = fit_known(&samples, intended.encoding)?;
-    let logged = LoggedRotations::Rotations(logged);
-    let mut decoder = RotationDecoder::new(intended.encoding, after, logged);
     let mut last = fit.reference * fk[0] * fit.tool;
     let decode = |(row, fk): (usize, &Option<Rotation>)| {
         let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
-        last = decoder.nearest(row, &expected)?;
+        last = logged.nearest(intended.encoding, row, &expected)?;
         Some(last)
     };
     expected.iter().enumerate().map(decode).collect()

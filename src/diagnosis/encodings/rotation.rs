@@ -55,8 +55,6 @@ pub(crate) struct RotationSamples<'a> {
     pub are_quaternions: bool,
     /// Whether rotations are as logged.
     pub only_as_logged: bool,
-    /// From positions, applied after decoding.
-    pub after: RotationCorrections,
 }
 
 impl<'a> RotationSamples<'a> {
@@ -69,58 +67,94 @@ impl<'a> RotationSamples<'a> {
             reference_known,
             are_quaternions: true,
             only_as_logged: false,
-            after: RotationCorrections::default(),
         }
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct RotationCorrections {
-    /// From the stream's axes to standard ones, by conjugation. `None` for standard axes.
-    pub conjugator: Option<Rotation>,
+/// Rotations as logged, with what positions determine of them.
+#[derive(Clone, Copy)]
+pub(crate) struct LoggedRotations<'a> {
+    pub values: LoggedValues<'a>,
+    /// From the stream's axes to standard ones, by conjugation after decoding. `None` for standard axes.
+    conjugator: Option<Rotation>,
     /// Whether whole poses are inverted.
-    pub inverted: bool,
-}
-
-impl RotationCorrections {
-    /// For rotations in these axes.
-    pub fn new(axes: Axes, inverted: bool) -> Self {
-        Self { conjugator: (axes != Axes::STANDARD).then(|| axes.conjugator()), inverted }
-    }
-
-    fn apply(&self, rotations: &mut [Rotation]) {
-        for rotation in rotations {
-            if let Some(conjugator) = self.conjugator {
-                *rotation = conjugator.inverse() * *rotation * conjugator;
-            }
-            if self.inverted {
-                *rotation = rotation.inverse();
-            }
-        }
-    }
-
-    /// Reported encoding if whole poses are inverted.
-    fn reported_encoding(&self, encoding: PoseEncoding) -> PoseEncoding {
-        match encoding {
-            PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
-            PoseEncoding::Transposed if self.inverted => PoseEncoding::AsLogged,
-            encoding => encoding,
-        }
-    }
+    is_inverted: bool,
 }
 
 #[derive(Clone, Copy)]
-pub(crate) enum LoggedRotations<'a> {
+pub(crate) enum LoggedValues<'a> {
     Rotations(&'a [Rotation]),
     Numbers(&'a [[f64; 3]]),
 }
 
 impl<'a> LoggedRotations<'a> {
+    /// In standard axes, of poses that are not inverted.
+    pub fn new(rotations: &'a [Rotation]) -> Self {
+        let values = LoggedValues::Rotations(rotations);
+        Self { values, conjugator: None, is_inverted: false }
+    }
+
     pub fn from_orientations(orientation: &'a Orientations) -> Self {
         match orientation {
-            Orientations::Rotations(rotations) => Self::Rotations(rotations),
-            Orientations::Numbers(numbers) => Self::Numbers(numbers),
-            Orientations::Unset(_) => Self::Rotations(&[]),
+            Orientations::Rotations(rotations) => Self::new(rotations),
+            Orientations::Numbers(all) => {
+                Self { values: LoggedValues::Numbers(all), ..Self::new(&[]) }
+            }
+            Orientations::Unset(_) => Self::new(&[]),
+        }
+    }
+
+    pub fn with_axes(self, axes: Axes, is_inverted: bool) -> Self {
+        let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
+        Self { conjugator, is_inverted, ..self }
+    }
+
+    fn len(&self) -> usize {
+        match self.values {
+            LoggedValues::Rotations(rotations) => rotations.len(),
+            LoggedValues::Numbers(numbers) => numbers.len(),
+        }
+    }
+
+    /// Possible true rotations of a sample in an encoding.
+    fn decode(&self, encoding: PoseEncoding, sample: usize) -> Vec<Rotation> {
+        let mut decoded = Vec::new();
+        match (encoding, self.values) {
+            (PoseEncoding::Numbers(convention), LoggedValues::Numbers(numbers)) => {
+                decoded.push(convention.rotation(numbers[sample]));
+            }
+            (_, LoggedValues::Numbers(_)) => {}
+            (_, LoggedValues::Rotations(all)) => {
+                encoding.true_rotations(&all[sample], &mut decoded)
+            }
+        }
+        for rotation in &mut decoded {
+            if let Some(conjugator) = self.conjugator {
+                *rotation = conjugator.inverse() * *rotation * conjugator;
+            }
+            if self.is_inverted {
+                *rotation = rotation.inverse();
+            }
+        }
+        decoded
+    }
+
+    /// Of the possible true rotations of a sample, the one nearest to `expected`.
+    pub fn nearest(
+        &self,
+        encoding: PoseEncoding,
+        sample: usize,
+        expected: &Rotation,
+    ) -> Option<Rotation> {
+        nearest(&self.decode(encoding, sample), expected).map(|(rotation, _)| rotation)
+    }
+
+    /// Reported encoding if whole poses are inverted.
+    fn reported_encoding(&self, encoding: PoseEncoding) -> PoseEncoding {
+        match encoding {
+            PoseEncoding::AsLogged if self.is_inverted => PoseEncoding::Inverted,
+            PoseEncoding::Transposed if self.is_inverted => PoseEncoding::AsLogged,
+            encoding => encoding,
         }
     }
 }
@@ -168,56 +202,11 @@ impl PoseEncoding {
     }
 }
 
-/// Decodes logged rotations in one encoding.
-pub(crate) struct RotationDecoder<'a> {
-    encoding: PoseEncoding,
-    after: RotationCorrections,
-    logged: LoggedRotations<'a>,
-    /// Of the last sample.
-    candidates: Vec<Rotation>,
-}
-
-impl<'a> RotationDecoder<'a> {
-    pub fn new(
-        encoding: PoseEncoding,
-        after: RotationCorrections,
-        logged: LoggedRotations<'a>,
-    ) -> Self {
-        Self { encoding, after, logged, candidates: Vec::new() }
-    }
-
-    /// Possible true rotations of one sample.
-    fn candidates(&mut self, sample: usize) -> &[Rotation] {
-        let out = &mut self.candidates;
-        out.clear();
-        match (self.encoding, self.logged) {
-            (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
-                out.push(convention.rotation(numbers[sample]));
-            }
-            (_, LoggedRotations::Numbers(_)) => {}
-            (encoding, LoggedRotations::Rotations(rotations)) => {
-                encoding.true_rotations(&rotations[sample], out);
-            }
-        }
-        self.after.apply(out);
-        out
-    }
-
-    /// Decodes one sample to the branch nearest to `expected`.
-    pub fn nearest(&mut self, sample: usize, expected: &Rotation) -> Option<Rotation> {
-        nearest(self.candidates(sample), expected).map(|(rotation, _)| rotation)
-    }
-}
-
 impl RotationSamples<'_> {
     fn candidates(&self, encoding: PoseEncoding) -> CandidateRotations {
         let mut candidates = CandidateRotations::default();
-        let mut decoder = RotationDecoder::new(encoding, self.after, self.logged);
-        let count = match self.logged {
-            LoggedRotations::Rotations(rotations) => rotations.len(),
-            LoggedRotations::Numbers(numbers) => numbers.len(),
-        };
-        (0..count).for_each(|sample| candidates.push(decoder.candidates(sample)));
+        let samples = 0..self.logged.len();
+        samples.for_each(|sample| candidates.push(&self.logged.decode(encoding, sample)));
         candidates
     }
 }
@@ -312,7 +301,7 @@ pub(crate) fn estimate_imu_encoding(
     let max_equivalent = max_similar(best.residual_rad);
     let is_equivalent = |fit: &&&EncodingFit| fit.residual_rad <= max_equivalent;
     let is_other = |fit: &&&EncodingFit| fit.encoding != best.encoding;
-    let named = |fit: &&EncodingFit| samples.after.reported_encoding(fit.encoding);
+    let named = |fit: &&EncodingFit| samples.logged.reported_encoding(fit.encoding);
     let with_residual = |fit: &&EncodingFit| (named(fit), fit.residual_rad);
     let equivalent: Vec<PoseEncoding> =
         alike.iter().filter(is_other).filter(is_equivalent).map(named).collect();
@@ -325,7 +314,7 @@ pub(crate) fn estimate_imu_encoding(
     let estimate = EncodingEstimate {
         ranked: alike.iter().enumerate().filter(is_ranked).map(|it| with_residual(it.1)).collect(),
         best: named(&&best),
-        is_inverted: samples.after.inverted,
+        is_inverted: samples.logged.is_inverted,
         as_logged_rad,
         best_rad: best.residual_rad,
         runner_up: alike.iter().filter(is_other).find(|fit| !is_equivalent(fit)).map(with_residual),
@@ -341,10 +330,9 @@ fn min_residual_rad<'f>(fits: impl IntoIterator<Item = &'f EncodingFit>) -> Opti
 
 /// Whether the fit tilts gravity.
 fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
-    let mut decoder = RotationDecoder::new(fit.encoding, samples.after, samples.logged);
     let in_world = forces.iter().enumerate().filter_map(|(sample, force)| {
         let expected = fit.reference * samples.fk[sample] * fit.tool;
-        Some(decoder.nearest(sample, &expected)? * force)
+        Some(samples.logged.nearest(fit.encoding, sample, &expected)? * force)
     });
     let gravity: Vec3 = in_world.sum();
     // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
@@ -378,10 +366,10 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
         samples.are_quaternions || !matches!(encoding, PoseEncoding::QuaternionOrder(_))
     };
     let misread = misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted);
-    match samples.logged {
-        LoggedRotations::Numbers(_) => number_encodings().collect(),
-        LoggedRotations::Rotations(_) if samples.only_as_logged => vec![PoseEncoding::AsLogged],
-        LoggedRotations::Rotations(_) => {
+    match samples.logged.values {
+        LoggedValues::Numbers(_) => number_encodings().collect(),
+        LoggedValues::Rotations(_) if samples.only_as_logged => vec![PoseEncoding::AsLogged],
+        LoggedValues::Rotations(_) => {
             simple_encodings().chain(misread).filter(is_possible).collect()
         }
     }
@@ -392,9 +380,9 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 /// without a fault in any convention.
 fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
-    let faultless = match samples.logged {
-        LoggedRotations::Rotations(_) => vec![PoseEncoding::AsLogged],
-        LoggedRotations::Numbers(_) => candidate_encodings(samples),
+    let faultless = match samples.logged.values {
+        LoggedValues::Rotations(_) => vec![PoseEncoding::AsLogged],
+        LoggedValues::Numbers(_) => candidate_encodings(samples),
     };
     let fits_without_fault = |encoding: PoseEncoding| {
         let fits = fits(encoding, &samples.candidates(encoding), samples.fk, &frames[..1]);
@@ -404,15 +392,13 @@ fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) ->
         frames = &frames[..1];
     }
     let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
-    let logged: Vec<Rotation> = match samples.logged {
-        LoggedRotations::Rotations(all) if stride > 1 => {
-            all.iter().step_by(stride).copied().collect()
-        }
+    let logged: Vec<Rotation> = match samples.logged.values {
+        LoggedValues::Rotations(all) if stride > 1 => all.iter().step_by(stride).copied().collect(),
         _ => return nearest_fits(samples, frames, 1.0).concat(),
     };
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
-    let coarse =
-        RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
+    let logged = LoggedRotations { values: LoggedValues::Rotations(&logged), ..samples.logged };
+    let coarse = RotationSamples { logged, fk: &fk, ..*samples };
     let screened = nearest_fits(&coarse, frames, SCREENING_ERROR_FACTOR);
     let refit = |coarse: Vec<EncodingFit>| {
         let encoding = coarse[0].encoding;
@@ -579,7 +565,7 @@ mod tests {
         let logged: Vec<Rotation> =
             fk.iter().enumerate().map(|(k, fk)| fk.inverse() * noise(k)).collect();
         let forces: Vec<Vec3> = fk.iter().map(|fk| fk.inverse() * Vec3::z() * 9.81).collect();
-        let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
+        let samples = RotationSamples::new(LoggedRotations::new(&logged), &fk, false);
         let is_turned = |mount: &Rotation| mount.angle() > 0.1;
         let (estimate, _) = estimate_imu_encoding(&samples, &forces, &is_turned).unwrap();
         assert_eq!(estimate.best, PoseEncoding::Transposed);
@@ -610,7 +596,7 @@ mod tests {
                 .map(|k| reference * fk[k] * if k % 2 == 0 { tool } else { tool * noise })
                 .map(|truth| read.read_as.rotation(read.is.numbers(&truth)))
                 .collect();
-            let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
+            let samples = RotationSamples::new(LoggedRotations::new(&logged), &fk, false);
             for encoding in candidate_encodings(&samples) {
                 let candidates = samples.candidates(encoding);
                 let both = &[FreeFrameErrors::Both];

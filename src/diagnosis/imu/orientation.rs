@@ -10,8 +10,7 @@ use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample
 use super::solve::Solved;
 use super::{Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationDecoder, RotationSamples,
-    estimate_imu_encoding,
+    EncodingFit, LoggedRotations, RotationSamples, estimate_imu_encoding,
 };
 use crate::frames::position_fit::spread;
 use crate::frames::rotation_frames::mean_rotation;
@@ -90,11 +89,9 @@ impl Link<'_> {
                 .ok_or(why)?,
             Ok(estimated) => estimated,
         };
-        let logged = LoggedRotations::Rotations(&track.orientation);
+        let logged = LoggedRotations::new(&track.orientation);
         let mount = known_mount.unwrap_or_default() * fit.tool;
         let width = OrientationModel::LINKS_START + 3 * self.inner_links();
-        let unchanged = RotationCorrections::default();
-        let mut decoder = RotationDecoder::new(fit.encoding, unchanged, logged);
         let mut model = OrientationModel {
             link: self,
             common: CommonParameters::new(start, mount, moves, width),
@@ -105,7 +102,8 @@ impl Link<'_> {
         };
         for (k, state) in self.states(self.rows(), start) {
             let expected = model.world_from_base * state.rotation * mount;
-            model.samples.extend(decoder.nearest(k, &expected).map(|truth| (track.t_s[k], truth)));
+            let truth = logged.nearest(fit.encoding, k, &expected);
+            model.samples.extend(truth.map(|truth| (track.t_s[k], truth)));
         }
         check_sample_count(model.samples.len(), MIN_FIT_SAMPLES)?;
         model.init_mount(known_mount.unwrap_or_default());
@@ -135,7 +133,7 @@ impl Link<'_> {
             logged.push(track.orientation[k]);
             forces.push(track.accel[k]);
         }
-        let samples = RotationSamples::new(LoggedRotations::Rotations(&logged), &fk, false);
+        let samples = RotationSamples::new(LoggedRotations::new(&logged), &fk, false);
         let contradicts_gyro = |tool: &Rotation| {
             let rotation = gyro.and_then(|gyro| gyro.rotation_against(&(known_mount * tool)));
             rotation.is_some_and(|rotation| {
