@@ -28,6 +28,11 @@ impl JointDiagnosis {
         }
     }
 
+    /// Number of zeros in the model.
+    pub(crate) fn chosen_zeros(&self) -> usize {
+        self.offsets.iter().filter(|offset| offset.is_chosen).count()
+    }
+
     /// Changes of a joint's zero.
     pub fn zero_changes(&self, column: usize) -> Vec<&ScalarChange> {
         self.changes_of(column, JointParameter::Zero)

@@ -512,6 +512,11 @@ impl PoseDiagnosis {
             || self.encoding_spans != EncodingSpans::default()
     }
 
+    /// Number of frame errors in the model.
+    fn chosen_frames(&self) -> usize {
+        [&self.reference, &self.tool].into_iter().flatten().filter(|it| it.is_chosen).count()
+    }
+
     /// Clock skew of the model, s/s. 0 if it contains none.
     pub fn chosen_skew(&self) -> f64 {
         match &self.skew {

@@ -75,7 +75,7 @@ impl PoseDiagnosis {
     }
 
     /// Whether rotations are in another encoding than the logged one.
-    pub(super) fn is_misread(&self) -> bool {
+    pub(crate) fn is_misread(&self) -> bool {
         self.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
     }
 

@@ -2,7 +2,6 @@
 
 use super::are_floating;
 use super::beside_links::BesideLinks;
-use super::encoding_result::EncodingResult;
 use super::fit::{fit, with_timings};
 use super::stream::{StreamFit, no_diagnosis};
 use super::zeros::{joint_gains, joint_offsets, unobservable_offsets};
@@ -11,7 +10,10 @@ use crate::encodings::position::PositionEncodingEstimate;
 use crate::joints::CorrectedJoints;
 use crate::model::measurement::PoseObservations;
 use crate::selection::held_out::HeldOut;
-use crate::{EstimateResult, JointEncoding, NotObservable, PoseDiagnosis, PoseStream};
+use crate::{
+    ArmDiagnosis, EstimateResult, JointDiagnosis, JointEncoding, NotObservable, PoseDiagnosis,
+    PoseStream,
+};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 
@@ -48,13 +50,13 @@ impl<'a> EncodedRun<'a> {
         Self { joints, encoding, corrected, streams, position_encodings }
     }
 
-    pub fn diagnose(&self) -> EncodingResult {
+    pub fn diagnose(&self) -> ArmDiagnosis {
         self.diagnose_with(&self.position_encodings)
     }
 
     /// The same with other encodings of the positions.
-    fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> EncodingResult {
-        let Self { joints, corrected, streams, .. } = self;
+    fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> ArmDiagnosis {
+        let Self { joints: recorded, corrected, streams, .. } = self;
         let both = || streams.iter().zip(position_encodings);
         let decode = |(stream, position_encoding): (&PoseStream<'a>, _)| {
             decode_stream(corrected, stream, position_encoding)
@@ -64,21 +66,15 @@ impl<'a> EncodedRun<'a> {
         let observations: Vec<&PoseObservations> =
             usable.iter().map(|decoded| &decoded.observations).collect();
         let has_zeros = !corrected.is_derived && !are_floating(streams);
-        let mut result = EncodingResult {
-            encoding: Ok(self.encoding.clone()),
-            offsets: Vec::new(),
-            scales: Vec::new(),
-            couplings: Vec::new(),
-            streams: Vec::new(),
-        };
+        let encoding = Ok(self.encoding.clone());
+        let mut joints = JointDiagnosis::without_changes(encoding, Vec::new(), Vec::new());
         let Some(fitted) = fit(&usable, &observations, corrected) else {
             let why: Vec<NotObservable> = decoded.into_iter().filter_map(Result::err).collect();
             if has_zeros {
                 let first = why.first().unwrap_or(&NotObservable::NoOverlap);
-                result.offsets = unobservable_offsets(joints.dof, first);
+                joints.offsets = unobservable_offsets(recorded.dof, first);
             }
-            result.streams = why.into_iter().map(no_diagnosis).collect();
-            return result;
+            return ArmDiagnosis { joints, streams: why.into_iter().map(no_diagnosis).collect() };
         };
         let fitted = &with_timings(fitted, &observations);
         let held_out = &HeldOut::new(&observations, &fitted.model, &fitted.candidates);
@@ -87,20 +83,22 @@ impl<'a> EncodedRun<'a> {
             true => BesideLinks::default(),
         };
         if has_zeros {
-            result.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
-            (result.scales, result.couplings) = joint_gains(fitted, corrected);
+            joints.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
+            let (scales, couplings) = joint_gains(fitted, corrected);
+            joints.encoding = Ok(self.encoding.refined(&scales, couplings));
+            joints.scales = scales;
         }
-        let mut index = 0;
+        let (mut diagnosed, mut index) = (Vec::new(), 0);
         for ((stream, position_encoding), decoded) in both().zip(&decoded) {
             let decoded = match decoded {
                 Ok(decoded) => decoded,
                 Err(why) => {
-                    result.streams.push(no_diagnosis(why.clone()));
+                    diagnosed.push(no_diagnosis(why.clone()));
                     continue;
                 }
             };
             let stream_fit = StreamFit {
-                recorded: joints,
+                recorded,
                 stream,
                 position_encoding,
                 decoded,
@@ -109,15 +107,15 @@ impl<'a> EncodedRun<'a> {
                 beside_links,
                 index,
             };
-            result.streams.push(stream_fit.diagnose());
+            diagnosed.push(stream_fit.diagnose());
             index += 1;
         }
-        result
+        ArmDiagnosis { joints, streams: diagnosed }
     }
 
     /// With weak motion, a fault can look like mirrored axes, an inverse or another rotation convention. These are
     /// rejected if as few causes explain the poses as logged. Mirrored axes and an inverse are also rejected near FK.
-    pub fn or_standard(&self, result: EncodingResult) -> EncodingResult {
+    pub fn or_standard(&self, result: ArmDiagnosis) -> ArmDiagnosis {
         let are_otherwise_placed = result.streams.iter().any(PoseDiagnosis::is_otherwise_placed);
         if !are_otherwise_placed && !result.streams.iter().any(PoseDiagnosis::may_be_misread) {
             return result;
@@ -134,7 +132,13 @@ impl<'a> EncodedRun<'a> {
         let is_near =
             are_otherwise_placed && standard.streams.iter().all(PoseDiagnosis::is_near_as_logged);
         match is_near || is_sufficient {
-            true => EncodingResult { encoding: result.encoding, ..standard },
+            true => ArmDiagnosis {
+                joints: JointDiagnosis {
+                    encoding: result.joints.encoding.and(standard.joints.encoding),
+                    ..standard.joints
+                },
+                ..standard
+            },
             false => result,
         }
     }

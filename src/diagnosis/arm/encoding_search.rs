@@ -2,7 +2,6 @@
 
 use super::MIN_IMPROVEMENT;
 use super::encoded_run::EncodedRun;
-use super::encoding_result::EncodingResult;
 use crate::encodings::decoded_stream::decode_stream;
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach};
@@ -22,7 +21,7 @@ pub(super) struct EncodingSearch<'a> {
     max_lag_s: f64,
     /// Unit of each stream's positions, in metres.
     metres: Vec<f64>,
-    as_logged: OnceCell<EncodingResult>,
+    as_logged: OnceCell<ArmDiagnosis>,
     has_change: OnceCell<bool>,
 }
 
@@ -43,11 +42,11 @@ impl<'a> EncodingSearch<'a> {
     /// it is credible and keeps streams that already agree; finally it must be the likelier one.
     pub fn diagnose(mut self) -> ArmDiagnosis {
         let mut result = self.by_motion();
-        let is_open = result.encoding.is_err() || result.is_far_from_fk();
+        let is_open = result.joints.encoding.is_err() || result.is_far_from_fk();
         if is_open && let Some(likely) = self.likely(&result) {
             result = likely;
         }
-        if result.encoding.is_ok()
+        if result.joints.encoding.is_ok()
             && let Some(other) = self.of_unexplained(&result)
         {
             result = other;
@@ -55,15 +54,15 @@ impl<'a> EncodingSearch<'a> {
         if result.is_in_other_encoding() {
             return self.likelier(result);
         }
-        if result.encoding.is_ok() && result.is_far_from_fk() {
+        if result.joints.encoding.is_ok() && result.is_far_from_fk() {
             // No stream follows FK.
-            result.encoding = Err(NotObservable::NotExcited);
+            result.joints.encoding = Err(NotObservable::NotExcited);
         }
-        result.into_diagnosis()
+        result.without_negligible_gains()
     }
 
     /// In the encoding by the motion if that is credible and keeps streams that agree, else as logged.
-    fn by_motion(&mut self) -> EncodingResult {
+    fn by_motion(&mut self) -> ArmDiagnosis {
         let encoding = self.estimate();
         let result = match encoding {
             Ok(encoding) if encoding != JointEncoding::default() => {
@@ -84,22 +83,24 @@ impl<'a> EncodingSearch<'a> {
         }
     }
 
-    fn diagnose_as(&self, encoding: JointEncoding) -> EncodingResult {
+    fn diagnose_as(&self, encoding: JointEncoding) -> ArmDiagnosis {
         let EncodedRun { joints, streams, .. } = self.logged;
         EncodedRun::new(joints, streams, self.max_lag_s, encoding, false).diagnose()
     }
 
     /// Diagnosis as logged, with this result of the search.
-    fn as_logged_with(&self, encoding: EstimateResult<JointEncoding>) -> EncodingResult {
-        EncodingResult { encoding, ..self.as_logged().clone() }
+    fn as_logged_with(&self, encoding: EstimateResult<JointEncoding>) -> ArmDiagnosis {
+        let mut result = self.as_logged().clone();
+        result.joints.encoding = encoding;
+        result
     }
 
-    fn as_logged(&self) -> &EncodingResult {
+    fn as_logged(&self) -> &ArmDiagnosis {
         self.as_logged.get_or_init(|| self.logged.diagnose())
     }
 
     /// A stream that agrees with the joint states as logged must still do so.
-    fn spoils_agreement(&self, result: &EncodingResult) -> bool {
+    fn spoils_agreement(&self, result: &ArmDiagnosis) -> bool {
         self.logged.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
     }
 
@@ -156,7 +157,7 @@ impl<'a> EncodingSearch<'a> {
     }
 
     /// Likely encoding that explains far more than `result`, where other faults hid the encoding.
-    fn likely(&self, result: &EncodingResult) -> Option<EncodingResult> {
+    fn likely(&self, result: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let before_m = result.total_residual_m();
         if before_m <= FLOOR_M || self.has_change() {
             return None;
@@ -175,7 +176,7 @@ impl<'a> EncodingSearch<'a> {
     }
 
     /// Encoding that explains the stream with the largest residual, if it explains far more than `result`.
-    fn of_unexplained(&self, result: &EncodingResult) -> Option<EncodingResult> {
+    fn of_unexplained(&self, result: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let (index, residual) = result.largest_unexplained()?;
         let joints = self.logged.joints;
         let (stream, found) = (&self.logged.streams[index], &result.streams[index]);
@@ -208,11 +209,12 @@ impl<'a> EncodingSearch<'a> {
 
     /// The likelier of `result` and the logged encoding: where joints hardly move, other encodings fit as well as
     /// calibrations.
-    fn likelier(&self, result: EncodingResult) -> ArmDiagnosis {
-        let is_far = result.encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
+    fn likelier(&self, result: ArmDiagnosis) -> ArmDiagnosis {
+        let is_far = result.joints.encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
         let is_plausible = is_far && self.as_logged().is_plausible_for(self.logged.streams);
-        let otherwise = result.into_diagnosis();
-        let as_logged = self.logged.or_standard(self.as_logged().clone()).into_diagnosis();
+        let otherwise = result.without_negligible_gains();
+        let as_logged =
+            self.logged.or_standard(self.as_logged().clone()).without_negligible_gains();
         match !is_plausible && log_bayes_factor(&otherwise, &as_logged) > 0.0 {
             true => otherwise,
             false => as_logged,

@@ -48,7 +48,7 @@ pub(super) fn diagnose_arm_encoded(
     encoding: JointEncoding,
 ) -> ArmDiagnosis {
     let run = EncodedRun::new(joints, streams, max_lag_s, encoding, false);
-    run.or_standard(run.diagnose()).into_diagnosis()
+    run.or_standard(run.diagnose()).without_negligible_gains()
 }
 
 /// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference

@@ -54,6 +54,16 @@ impl JointEncoding {
         Self { unit_errors: vec![unit_error], residual: Some(residual), ..Self::default() }
     }
 
+    /// With estimated scales, and with these couplings.
+    pub(crate) fn refined(&self, scales: &[JointScale], couplings: Vec<JointCoupling>) -> Self {
+        let mut refined = Self { couplings, ..self.clone() };
+        for error in &mut refined.unit_errors {
+            let scale = scales.iter().find(|scale| scale.column == error.column);
+            error.factor = scale.map_or(error.factor, |scale| scale.factor.value);
+        }
+        refined
+    }
+
     /// Apart from zeros.
     pub fn is_as_logged(&self) -> bool {
         !self.is_in_degrees

@@ -77,14 +77,14 @@ pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
     let of_joints = diagnosis.joints.encoding.as_ref().map_or(0, |encoding| {
         usize::from(encoding.is_in_degrees) + usize::from(encoding.permutation.is_some())
     });
-    let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.is_chosen).count();
     let of_stream = |stream: &PoseDiagnosis| {
-        let frames = [&stream.reference, &stream.tool];
-        let chosen = frames.iter().filter(|frame| frame.as_ref().is_ok_and(|one| one.is_chosen));
-        let misread = stream.encoding.as_ref().is_ok_and(|one| !one.best.is_as_logged());
-        chosen.count() + usize::from(misread) + usize::from(stream.is_radial_scale_chosen)
+        stream.chosen_frames()
+            + usize::from(stream.is_misread())
+            + usize::from(stream.is_radial_scale_chosen)
     };
-    of_joints + zeros + diagnosis.streams.iter().map(of_stream).sum::<usize>()
+    of_joints
+        + diagnosis.joints.chosen_zeros()
+        + diagnosis.streams.iter().map(of_stream).sum::<usize>()
 }
 
 impl DhStreamResiduals {

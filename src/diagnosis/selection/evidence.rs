@@ -8,10 +8,7 @@
 use crate::priors::{MODEL_ERROR_M, RAD_PER_M, price};
 use crate::residuals::comparison::residual_vectors;
 use crate::solver::noise::Noise;
-use crate::{
-    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointCompliance,
-    JointDiagnosis, PoseDiagnosis,
-};
+use crate::{ArmDiagnosis, EncodingSpans, JointCompliance, JointDiagnosis, PoseDiagnosis};
 use ground::geometry::Vec3;
 
 /// Residual of a stream that does not follow the arm, m and rad.
@@ -69,9 +66,9 @@ fn noises(stream: &PoseDiagnosis, link_m: f64) -> [(usize, Noise); 2] {
 
 /// Without latencies, and encodings other than scales and couplings, that hold for the whole run.
 fn parameter_count(diagnosis: &ArmDiagnosis) -> usize {
-    let JointDiagnosis { encoding, offsets, scales, changes, compliance, partial_encoding, .. } =
+    let JointDiagnosis { encoding, scales, changes, compliance, partial_encoding, .. } =
         &diagnosis.joints;
-    offsets.iter().filter(|offset| offset.is_chosen).count()
+    diagnosis.joints.chosen_zeros()
         + scales.len()
         + encoding.as_ref().map_or(0, |encoding| encoding.couplings.len())
         + 2 * changes.len()
@@ -82,14 +79,10 @@ fn parameter_count(diagnosis: &ArmDiagnosis) -> usize {
 
 fn stream_parameter_count(stream: &PoseDiagnosis) -> usize {
     const FRAME: usize = 6;
-    let of_frame = |frame: &EstimateResult<FrameEstimate>, changes: &[FrameChange]| {
-        let is_chosen = frame.as_ref().is_ok_and(|frame| frame.is_chosen);
-        FRAME * usize::from(is_chosen) + (FRAME + 1) * changes.len()
-    };
     let EncodingSpans { rotation, degrees, length, axes } = stream.encoding_spans;
     let steps = stream.latency_profile.as_ref().map_or(0, |profile| profile.steps.len());
-    of_frame(&stream.tool, &stream.tool_changes)
-        + of_frame(&stream.reference, &stream.reference_changes)
+    FRAME * stream.chosen_frames()
+        + (FRAME + 1) * (stream.tool_changes.len() + stream.reference_changes.len())
         + usize::from(stream.is_skew_chosen)
         + usize::from(stream.is_radial_scale_chosen)
         + 2 * (stream.radial_scale_changes.len() + steps)
