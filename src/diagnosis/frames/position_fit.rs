@@ -165,7 +165,7 @@ pub(crate) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Ma
 }
 
 /// `Σ to·fromᵀ` about the means.
-fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
+pub(crate) fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
     let (centre, target) = (mean_vector(from), mean_vector(to));
     let both = from.iter().zip(to);
     both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()

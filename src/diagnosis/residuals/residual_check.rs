@@ -188,12 +188,8 @@ fn residual_with_calibration(
         .rows(MAX_CALIBRATION_SAMPLES)
         .filter(|&row| predictor.at(row).is_some())
         .collect();
-    let most = MAX_CALIBRATION_SAMPLES;
-    let kinds = calibrated_residuals(stream_at, diagnosis.link_m, most);
+    let kinds = calibrated_residuals(stream_at, diagnosis.link_m, MAX_CALIBRATION_SAMPLES);
     let [length, angle] = kinds.try_into().ok()?;
-    if length.len() != rows.len() {
-        return None;
-    }
     let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
     let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
     let moving = moving_rows(corrected_joints, stream, &t_s);

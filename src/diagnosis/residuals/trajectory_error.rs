@@ -4,9 +4,10 @@
 //! and estimates `Pᵢ`, the absolute error is `Qᵢ⁻¹·S·Pᵢ` and the relative error over a frame is
 //! `(Qᵢ⁻¹·Qᵢ₊₁)⁻¹·(Pᵢ⁻¹·Pᵢ₊₁)`.
 
-use ground::geometry::{Pose, Rotation, angle_between, mean_vector, pose, rotation_by_wahba};
+use crate::frames::position_fit::products;
+use ground::geometry::{Pose, Rotation, Vec3, angle_between, mean_vector, pose, rotation_by_wahba};
+use ground::stats::mean;
 use ground::time::NANOS_PER_SECOND;
-use nalgebra::Matrix3;
 
 /// evo's default of the difference between associated stamps, s.
 pub const MAX_STAMP_DIFFERENCE_S: f64 = 0.01;
@@ -23,16 +24,14 @@ pub struct TrajectoryError {
 impl TrajectoryError {
     /// `None` without errors.
     fn from_poses(errors: impl Iterator<Item = Pose>) -> Option<Self> {
-        let (mut count, mut squares_m2, mut squares_rad2) = (0_usize, 0.0, 0.0);
-        for error in errors {
-            count += 1;
-            squares_m2 += error.translation.vector.norm_squared();
-            squares_rad2 += angle_between(&Rotation::identity(), &error.rotation).powi(2);
-        }
-        let rmse = |squares: f64| (squares / count as f64).sqrt();
-        (count > 0).then(|| Self {
-            translation_rmse_m: rmse(squares_m2),
-            rotation_rmse_rad: rmse(squares_rad2),
+        let square = |error: Pose| {
+            let angle_rad = angle_between(&Rotation::identity(), &error.rotation);
+            (error.translation.vector.norm_squared(), angle_rad.powi(2))
+        };
+        let (squares_m2, squares_rad2): (Vec<f64>, Vec<f64>) = errors.map(square).unzip();
+        (!squares_m2.is_empty()).then(|| Self {
+            translation_rmse_m: mean(squares_m2).sqrt(),
+            rotation_rmse_rad: mean(squares_rad2).sqrt(),
         })
     }
 }
@@ -62,18 +61,10 @@ pub fn relative_pose_error(reference: &[Pose], estimate: &[Pose]) -> Option<Traj
 /// scale (Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE
 /// PAMI 1991, eq. 34 to 43). `None` if the positions are on a line or not finite.
 pub fn rigid_alignment(reference: &[Pose], estimate: &[Pose]) -> Option<Pose> {
-    let count = reference.len().min(estimate.len());
-    let [reference_mean, estimate_mean] = [reference, estimate]
-        .map(|poses| mean_vector(poses[..count].iter().map(|pose| pose.translation.vector)));
-    let covariance: Matrix3<f64> = reference
-        .iter()
-        .zip(estimate)
-        .map(|(reference, estimate)| {
-            let own = reference.translation.vector - reference_mean;
-            own * (estimate.translation.vector - estimate_mean).transpose()
-        })
-        .sum::<Matrix3<f64>>()
-        / count as f64;
+    let positions =
+        |poses: &[Pose]| poses.iter().map(|pose| pose.translation.vector).collect::<Vec<Vec3>>();
+    let (reference, estimate) = (positions(reference), positions(estimate));
+    let covariance = products(&estimate, &reference) / reference.len() as f64;
     if !covariance.iter().all(|value| value.is_finite()) {
         return None;
     }
@@ -83,7 +74,7 @@ pub fn rigid_alignment(reference: &[Pose], estimate: &[Pose]) -> Option<Pose> {
         return None;
     }
     let rotation = rotation_by_wahba(&covariance);
-    let translation = reference_mean - rotation * estimate_mean;
+    let translation = mean_vector(&reference) - rotation * mean_vector(&estimate);
     Some(pose(translation.into(), rotation))
 }
 
