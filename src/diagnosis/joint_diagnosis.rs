@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::compliance::apply_compliance;
-use crate::joints::correct_joints;
+use crate::joints::{add_zeros, correct_joints};
 use crate::{
     EstimateResult, JointChange, JointDiagnosis, JointEncoding, JointOffset, JointParameter,
     JointScale, NotObservable, ScalarChange,
@@ -90,11 +90,7 @@ impl JointDiagnosis {
         for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
             offsets[scale.column] = scale.offset;
         }
-        for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
-            for (q, offset) in row.iter_mut().zip(&offsets) {
-                *q += offset;
-            }
-        }
+        add_zeros(&mut track, &offsets);
         track
     }
 }

@@ -40,7 +40,11 @@ impl CorrectedJoints {
         let mut offsets = zeros.clone();
         offsets.resize(joints.dof + gains.len(), 0.0);
         Self {
-            approximate_track: is_off.then(|| with_zeros(&track, zeros)),
+            approximate_track: is_off.then(|| {
+                let mut moved = track.clone();
+                add_zeros(&mut moved, zeros);
+                moved
+            }),
             rest_speeds: rest_speeds(&track),
             couplings: couplings.clone(),
             track,
@@ -99,10 +103,9 @@ pub(crate) fn correct_joints(
     track
 }
 
-fn with_zeros(track: &JointTrack, zeros: &[f64]) -> JointTrack {
-    let mut moved = track.clone();
-    for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
+/// Adds a zero to the positions of each joint.
+pub(crate) fn add_zeros(track: &mut JointTrack, zeros: &[f64]) {
+    for row in track.q.chunks_exact_mut(track.dof.max(1)) {
         row.iter_mut().zip(zeros).for_each(|(q, zero)| *q += zero);
     }
-    moved
 }

@@ -20,7 +20,7 @@ pub use encoding::{
 };
 
 pub(super) use comparison::{JointComparison, MAX_FOLLOWING_RESIDUAL_SHARE};
-pub(super) use corrected_joints::{CorrectedJoints, correct_joints};
+pub(super) use corrected_joints::{CorrectedJoints, add_zeros, correct_joints};
 pub(super) use estimate::LikelyEncoding;
 pub(super) use interpreted_poses::ResidualSize;
 pub(super) use map::{half_turns, is_quarter_turn};
