@@ -82,19 +82,13 @@ impl JointEncoding {
 
     /// Same units, order and couplings, whatever the amounts.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
-        let parts = |encoding: &Self| {
-            let units = encoding.unit_errors.iter().map(|error| (error.column, error.unit));
-            let couplings =
-                encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by));
-            let order = encoding.permutation.clone();
-            (
-                encoding.is_in_degrees,
-                order,
-                units.collect::<Vec<_>>(),
-                couplings.collect::<Vec<_>>(),
-            )
+        let kind = |it: &Self| {
+            let units = it.unit_errors.iter().map(|error| (error.column, error.unit));
+            let couplings = it.couplings.iter().map(|coupling| (coupling.column, coupling.by));
+            let (units, couplings): (Vec<_>, Vec<_>) = (units.collect(), couplings.collect());
+            (it.is_in_degrees, it.permutation.clone(), units, couplings)
         };
-        parts(self) == parts(other)
+        kind(self) == kind(other)
     }
 
     /// Joints with this unit, with the residual as logged and as corrected.

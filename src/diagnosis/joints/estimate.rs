@@ -166,21 +166,15 @@ impl JointComparison<'_> {
             false => &[FreeFrames::Both],
         };
         for &freedom in freedoms {
-            for &kind in kinds {
-                let is_skipped =
-                    freedom != freedoms[0] && kind > InterpretationKind::UnitAndOneJoint;
-                if is_skipped
-                    || (freedom == FreeFrames::Both && kind == InterpretationKind::OrderAndOneJoint)
-                {
-                    continue;
-                }
+            let is_first = freedom == freedoms[0];
+            let is_tried = |kind: InterpretationKind| match kind {
+                InterpretationKind::OrderAndOneJoint => is_first && freedom == FreeFrames::Tool,
+                _ => is_first || kind <= InterpretationKind::UnitAndOneJoint,
+            };
+            for kind in kinds.iter().copied().filter(|kind| is_tried(*kind)) {
                 match best_of_kind(views, kind, freedom, max_residual) {
-                    SearchOutcome::Found(found) => {
-                        let map = found.map.with_base_turned();
-                        return SearchOutcome::Found(JointInterpretation { map, ..found });
-                    }
-                    ambiguous @ SearchOutcome::Ambiguous(_) => return ambiguous,
                     SearchOutcome::Nothing => {}
+                    outcome => return outcome,
                 }
             }
         }
@@ -237,7 +231,7 @@ pub(super) fn half_follows_as_logged(view: &InterpretedPoses) -> bool {
     };
     let whole_m = residual(view).combined_m(view.lever_m);
     [0, len / 4, len / 2].into_iter().any(|first| {
-        let half = view.range(first..first + len / 2);
+        let half = view.at_rows(first..first + len / 2);
         let moves =
             (0..dof).all(|joint| range(&half, joint) >= MIN_MOTION_SHARE * range(view, joint));
         let is_within = |residual: ResidualSize| {

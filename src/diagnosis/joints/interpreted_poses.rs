@@ -6,7 +6,6 @@ use crate::frames::position_fit::PositionFit;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stats::mean;
-use std::ops::Range;
 
 /// For a thinned and for a full view.
 const THINNED_FRAME_ITERATIONS: usize = 5;
@@ -95,24 +94,17 @@ impl<'a> InterpretedPoses<'a> {
     /// Keeps at most `most` samples, evenly spaced.
     pub fn thinned(&self, most: usize) -> Self {
         let step = self.len().div_ceil(most).max(1);
-        let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
-        let some = |all: &Vec<Rotation>| all.iter().copied().step_by(step).collect();
-        Self {
-            xyz: self.xyz.iter().copied().step_by(step).collect(),
-            rotation: self.rotation.as_ref().map(some),
-            q: rows.flatten().copied().collect(),
-            spans: self.spans.clone(),
-            turns: THINNED_FRAME_ITERATIONS,
-            ..*self
-        }
+        let thinned = self.at_rows((0..self.len()).step_by(step));
+        Self { turns: THINNED_FRAME_ITERATIONS, ..thinned }
     }
 
-    pub fn range(&self, rows: Range<usize>) -> Self {
+    pub fn at_rows(&self, rows: impl Iterator<Item = usize> + Clone) -> Self {
+        let some = |all: &Vec<Rotation>| rows.clone().map(|row| all[row]).collect();
         let dof = self.chain.dof();
         Self {
-            xyz: self.xyz[rows.clone()].to_vec(),
-            rotation: self.rotation.as_ref().map(|all| all[rows.clone()].to_vec()),
-            q: self.q[rows.start * dof..rows.end * dof].to_vec(),
+            xyz: rows.clone().map(|row| self.xyz[row]).collect(),
+            rotation: self.rotation.as_ref().map(some),
+            q: rows.clone().flat_map(|row| &self.q[row * dof..(row + 1) * dof]).copied().collect(),
             spans: self.spans.clone(),
             ..*self
         }

@@ -162,11 +162,8 @@ fn refine_and_select(
         return SearchOutcome::Ambiguous(best.total_m);
     }
     let runner_up_m = runner_up.map(|other| other.residual.m);
-    SearchOutcome::Found(JointInterpretation {
-        map: best.map.clone(),
-        residual: best.residual,
-        runner_up_m,
-    })
+    let map = best.map.with_base_turned();
+    SearchOutcome::Found(JointInterpretation { map, residual: best.residual, runner_up_m })
 }
 
 fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
