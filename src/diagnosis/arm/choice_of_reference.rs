@@ -37,19 +37,16 @@ impl ArmDiagnosis {
                 latency.value.abs() > MAX_USUAL_LATENCY_S.max(3.0 * latency.std_error)
             })
         };
-        let has_other_encoding = |stream: &PoseDiagnosis| {
-            stream.is_otherwise_placed()
-                || matches!(stream.length_unit, Ok(Some(_)))
-                || stream.is_misread()
-        };
         let is_unsteady = |stream: &PoseDiagnosis| {
             stream.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
-                || stream.is_skew_chosen
         };
         let deviates = |stream: &&PoseDiagnosis| {
             is_late(stream)
-                || has_other_encoding(stream)
+                || stream.is_otherwise_placed()
+                || matches!(stream.length_unit, Ok(Some(_)))
+                || stream.is_misread()
                 || is_unsteady(stream)
+                || stream.is_skew_chosen
                 || stream.has_changes()
         };
         self.streams.iter().filter(deviates).count()
