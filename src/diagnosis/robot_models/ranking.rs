@@ -291,7 +291,7 @@ impl<'a> StreamWithFk<'a> {
 
     fn fit_under(&self, assumptions: &[Assumption]) -> ModelFit {
         let fits = assumptions.iter().flat_map(|assumption| self.fits_under(*assumption)).collect();
-        let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
+        let unfitted = self.solve(self.start(Pose::identity()), &[0], ToolPrior::None);
         ModelFit {
             lag_s: self.lag_s,
             samples: self.samples.t_s.len(),
@@ -310,7 +310,7 @@ impl<'a> StreamWithFk<'a> {
 
     /// Residual with zeros of all joints, any reference and any tool, which every hypothesis restricts.
     fn least_residual_m(&self) -> f64 {
-        let all: Vec<usize> = (0..10 + self.stream.chain.dof()).collect();
+        let all = self.parameters(0..self.stream.chain.dof(), true);
         let starts = self.starts(true).into_iter();
         starts.map(|start| self.solve(start, &all, ToolPrior::None).0).fold(f64::INFINITY, f64::min)
     }
@@ -343,17 +343,25 @@ impl<'a> StreamWithFk<'a> {
 
     fn poses(&self) -> Vec<Pose> {
         let mut poses = Vec::with_capacity(self.samples.t_s.len());
-        self.predict(&self.initial_parameters(), |jacobian, _, _| poses.push(jacobian.pose));
+        self.predict(&self.start(Pose::identity()), |jacobian, _, _| poses.push(jacobian.pose));
         poses
     }
 
-    fn initial_parameters(&self) -> FittedParameters {
-        FittedParameters {
-            lag_s: self.lag_s,
-            zeros: vec![0.0; self.stream.chain.dof()],
-            reference: Pose::identity(),
-            tool: Vec3::zeros(),
-        }
+    fn start(&self, reference: Pose) -> FittedParameters {
+        let zeros = vec![0.0; self.stream.chain.dof()];
+        FittedParameters { lag_s: self.lag_s, zeros, reference, tool: Vec3::zeros() }
+    }
+
+    /// Indices of the latency, these joint zeros, the reference if it is free, and the tool.
+    fn parameters(
+        &self,
+        zeros: impl IntoIterator<Item = usize>,
+        is_reference_free: bool,
+    ) -> Vec<usize> {
+        let dof = self.stream.chain.dof();
+        let reference = 1 + dof..if is_reference_free { 7 + dof } else { 1 + dof };
+        let zeros = zeros.into_iter().map(|joint| 1 + joint);
+        [0].into_iter().chain(zeros).chain(reference).chain(7 + dof..10 + dof).collect()
     }
 
     /// Joints whose zeros reduce the linearised residual most.
@@ -361,8 +369,7 @@ impl<'a> StreamWithFk<'a> {
         const MAX_JOINTS: usize = 3;
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
-        let frames = 1 + dof..1 + dof + if is_free { 6 } else { 0 };
-        let free: Vec<usize> = (0..1 + dof).chain(frames).chain(7 + dof..10 + dof).collect();
+        let free = self.parameters(0..dof, is_free);
         let prior = if tool { ToolPrior::None } else { ToolPrior::Deviation };
         let hypothesis = Hypothesis { stream: self, free: &free, prior };
         let starts = self.starts(is_free).into_iter();
@@ -386,16 +393,12 @@ impl<'a> StreamWithFk<'a> {
     /// Collinear positions leave the rotation about the line free, so a free reference starts from each usual frame.
     fn starts(&self, is_reference_free: bool) -> Vec<FittedParameters> {
         if !is_reference_free {
-            return vec![self.initial_parameters()];
+            return vec![self.start(Pose::identity())];
         }
         let fit = PositionFit { fk: &self.samples.fk, xyz: &self.samples.xyz };
         let (rigid, _) = fit.fit_rigid_or_collinear();
         let frames = [Pose::identity(), half_turn(), rigid];
-        frames.map(|reference| self.with_reference(reference)).to_vec()
-    }
-
-    fn with_reference(&self, reference: Pose) -> FittedParameters {
-        FittedParameters { reference, ..self.initial_parameters() }
+        frames.map(|reference| self.start(reference)).to_vec()
     }
 
     /// Fits the parameters of the cause, and an unknown reference. A tool is fitted twice: in any
@@ -409,20 +412,18 @@ impl<'a> StreamWithFk<'a> {
     }
 
     fn fit_with(&self, cause: FitCause, prior: ToolPrior) -> Option<HypothesisFit> {
-        let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
         if is_free && matches!(cause, FitCause::Reference | FitCause::HalfTurn) {
             return None;
         }
         let reference = is_free || cause == FitCause::Reference;
-        let mut free = vec![0];
-        if let FitCause::Zero { joint } = cause {
-            free.push(1 + joint);
-        }
-        free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
-        free.extend((0..3).map(|at| 7 + dof + at));
+        let zero = match cause {
+            FitCause::Zero { joint } => Some(joint),
+            _ => None,
+        };
+        let free = self.parameters(zero, reference);
         let starts = match cause {
-            FitCause::HalfTurn => vec![self.with_reference(half_turn())],
+            FitCause::HalfTurn => vec![self.start(half_turn())],
             _ => self.starts(reference),
         };
         let solutions = starts.into_iter().map(|start| self.solve(start, &free, prior));
