@@ -2,7 +2,7 @@
 
 use super::position_fit::PositionFit;
 use super::rotation_frames::mean_rotation;
-use crate::model::jacobian::pose_change;
+use crate::model::jacobian::pose_changes;
 use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, stacked};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
 use crate::solver::linear::Normal;
@@ -176,13 +176,8 @@ pub(crate) fn misfit_in_frames(
     logged: &[Pose],
     (reference, tool): &(Pose, Pose),
 ) -> [f64; 2] {
-    let residual = |(fk, logged): (&Pose, &Pose)| {
-        let [position, rotation] = pose_change(&(reference * fk * tool), logged);
-        (position, rotation)
-    };
-    let (positions, rotations): (Vec<Vec3>, Vec<Vec3>) =
-        fk.iter().zip(logged).map(residual).unzip();
-    [rms(&positions), rms(&rotations)]
+    let predicted: Vec<Pose> = fk.iter().map(|fk| reference * fk * tool).collect();
+    pose_changes(&predicted, logged).map(|residual| rms(&residual))
 }
 
 /// Same for a stream at its latency with joint offsets.
@@ -343,7 +338,7 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::jacobian::{Derivative, PoseJacobian};
+    use crate::model::jacobian::{Derivative, PoseJacobian, pose_change};
     use crate::solver::linear::Linear;
 
     #[test]

@@ -12,6 +12,12 @@ pub(crate) fn pose_change(from: &Pose, to: &Pose) -> Derivative {
     [to.translation.vector - from.translation.vector, turn]
 }
 
+/// Changes from the poses of one series to those of another.
+pub(crate) fn pose_changes(from: &[Pose], to: &[Pose]) -> [Vec<Vec3>; 2] {
+    let change = |(from, to): (&Pose, &Pose)| <(Vec3, Vec3)>::from(pose_change(from, to));
+    from.iter().zip(to).map(change).unzip().into()
+}
+
 /// Derivatives of a pose at `tip` with respect to changes of a link's frame, multiplied on the right: translation along
 /// its axes, then rotation about them.
 pub(crate) fn link_derivatives(link: &Pose, tip: &Vec3) -> [Derivative; 6] {

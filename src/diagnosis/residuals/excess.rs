@@ -3,7 +3,7 @@
 //! Model errors repeat with the configuration, correlated noise does not. The test is a cross-validation:
 //! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
 
-use crate::model::jacobian::pose_change;
+use crate::model::jacobian::pose_changes;
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
@@ -34,9 +34,7 @@ pub(crate) fn excess_residual(
 ) -> EstimateResult<StreamResidual> {
     check_sample_count(aligned.t_s.len(), 8)?;
     let [residual_m, residual_rad] = aligned.residuals(stream.tool.translation.vector);
-    let as_logged = aligned.fk.iter().zip(&aligned.logged);
-    let (before_m, before_rad): (Vec<Vec3>, Vec<Vec3>) =
-        as_logged.map(|(fk, is)| <(Vec3, Vec3)>::from(pose_change(fk, is))).unzip();
+    let [before_m, before_rad] = pose_changes(&aligned.fk, &aligned.logged);
     let [common_m, common_rad] = fold_correlation(observations, stream, offsets);
     Ok(StreamResidual {
         excess_m: excess(&residual_m, &common_m),

@@ -7,7 +7,7 @@
 //! second differences over times with little motion (von Neumann 1941; Hall, Kay and Titterington 1990).
 
 use crate::latency::correlation::median_period_s;
-use crate::model::jacobian::pose_change;
+use crate::model::jacobian::pose_changes;
 use crate::model::measurement::{PoseObservations, StreamState};
 use crate::model::observability::travel;
 use crate::priors::LEVER_M;
@@ -238,8 +238,7 @@ pub(crate) struct ErrorSeries<'a> {
 
 impl<'a> ErrorSeries<'a> {
     pub fn from_poses(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
-        let error = |(pose, fk): (&Pose, &Pose)| <(Vec3, Vec3)>::from(pose_change(fk, pose));
-        let (length, angle) = poses.iter().zip(fk).map(error).unzip();
+        let [length, angle] = pose_changes(fk, poses);
         Self::new(t_s, fk, length, has_rotation.then_some(angle))
     }
 
