@@ -4,6 +4,7 @@
 //! least squares compares each block of joint candidates with all other columns at once. The best are
 //! fitted as pose streams, with latency, frame and tool free.
 
+use std::collections::BTreeSet;
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
@@ -103,6 +104,25 @@ fn span_s(t_s: &[f64]) -> f64 {
     t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first)
 }
 
+fn step_s(t_s: &[f64]) -> f64 {
+    span_s(t_s) / (t_s.len().max(2) - 1) as f64
+}
+
+/// Between rows. Ignores outliers and jumps by a whole turn.
+fn max_change(values: &[f64]) -> f64 {
+    const OUTLIER_ROWS: usize = 4;
+    /// In rad and in degrees.
+    const ONE_TURN: [f64; 2] = [2.0 * PI, 360.0];
+    const TURN_TOLERANCE: f64 = 0.05;
+    let is_turn = |by: f64| ONE_TURN.iter().any(|turn| (by / turn - 1.0).abs() < TURN_TOLERANCE);
+    let change = |rows: &[f64]| {
+        let by = rows[1..].iter().map(|value| (value - rows[0]).abs());
+        by.fold(f64::INFINITY, f64::min)
+    };
+    let changes = values.windows(OUTLIER_ROWS).map(change);
+    changes.filter(|by| !is_turn(*by)).fold(0.0, f64::max)
+}
+
 /// Constraints of the search.
 #[derive(Default)]
 pub struct MappingConstraints<'a> {
@@ -179,14 +199,8 @@ fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     let names = chain.joint_names();
     let mut sorted: Vec<&String> = names.iter().collect();
     sorted.sort();
-    let in_order: Vec<usize> = (0..names.len()).collect();
-    let by_name: Vec<usize> =
-        names.iter().filter_map(|name| sorted.iter().position(|other| *other == name)).collect();
-    let mut orders = vec![in_order];
-    if by_name != orders[0] {
-        orders.push(by_name);
-    }
-    orders
+    let by_name = names.iter().filter_map(|name| sorted.iter().position(|other| *other == name));
+    distinct([(0..names.len()).collect(), by_name.collect()], Vec::eq)
 }
 
 /// Candidate joints of an arm.
@@ -253,32 +267,13 @@ impl NumericTable {
             (pick(&t_s), columns.iter().map(pick).collect());
         let ranges = columns.iter().map(|values| range_of(values.iter().copied())).collect();
         let noises = columns.iter().map(|values| sample_noise(values)).collect();
-        let steepest = Vec::new();
-        let mut table = Self { t_s, columns, homes, ranges, noises, steepest, levels };
-        table.steepest = table.columns.iter().map(|values| table.max_rate(values)).collect();
-        table
-    }
-
-    /// Ignores outliers and jumps by a whole turn.
-    fn max_rate(&self, values: &[f64]) -> f64 {
-        const OUTLIER_ROWS: usize = 4;
-        /// In rad and in degrees.
-        const ONE_TURN: [f64; 2] = [2.0 * PI, 360.0];
-        const TURN_TOLERANCE: f64 = 0.05;
-        let step_s = self.step_s();
-        let is_turn =
-            |by: f64| ONE_TURN.iter().any(|turn| (by / turn - 1.0).abs() < TURN_TOLERANCE);
-        let rate = |rows: &[f64]| {
-            let by = rows[1..].iter().map(|value| (value - rows[0]).abs());
-            let by = by.fold(f64::INFINITY, f64::min);
-            if is_turn(by) { 0.0 } else { by / step_s }
-        };
-        values.windows(OUTLIER_ROWS).map(rate).fold(0.0, f64::max)
+        let steepest = columns.iter().map(|values| max_change(values) / step_s(&t_s)).collect();
+        Self { t_s, columns, homes, ranges, noises, steepest, levels }
     }
 
     /// Mean time between rows.
     pub fn step_s(&self) -> f64 {
-        span_s(&self.t_s) / (self.t_s.len().max(2) - 1) as f64
+        step_s(&self.t_s)
     }
 
     /// Source array of a column.
@@ -384,9 +379,7 @@ impl NumericTable {
         let dof = chain.dof();
         let orders = usual_orders(chain);
         let are_few_arms = constraints.chains.len() <= MAX_ARMS_FOR_LAGS;
-        let mut homes: Vec<usize> = self.homes.clone();
-        homes.sort_unstable();
-        homes.dedup();
+        let homes: BTreeSet<usize> = self.homes.iter().copied().collect();
         let mut blocks = Vec::new();
         for home in homes {
             let own: Vec<usize> =
