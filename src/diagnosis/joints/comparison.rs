@@ -3,6 +3,7 @@
 use super::interpreted_poses::FreeFrames;
 use super::slow_samples::rms_speeds;
 use crate::PoseStream;
+use crate::distinct::distinct;
 use crate::frames::position_fit::spread;
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
 use ground::geometry::Vec3;
@@ -44,16 +45,12 @@ impl JointComparison<'_> {
     pub(super) fn lags_s(&self) -> Vec<f64> {
         let Self { joints, stream: PoseStream { track, .. }, max_lag_s, .. } = *self;
         let speed = linear_speed(&track.t_s, &track.xyz);
-        let mut lags = vec![0.0];
         // Speeds as logged, and normalised per joint.
-        for units in [vec![1.0; joints.dof], rms_speeds(joints)] {
-            for lag_s in joint_speed_lags(joints, &units, &speed, max_lag_s) {
-                if lags.iter().all(|other_s| (lag_s - other_s).abs() > MIN_LAG_DIFFERENCE_S) {
-                    lags.push(lag_s);
-                }
-            }
-        }
-        lags
+        let units = [vec![1.0; joints.dof], rms_speeds(joints)];
+        let peaks =
+            units.iter().flat_map(|units| joint_speed_lags(joints, units, &speed, max_lag_s));
+        let is_same = |one: &f64, other: &f64| (one - other).abs() <= MIN_LAG_DIFFERENCE_S;
+        distinct(std::iter::once(0.0).chain(peaks), is_same)
     }
 
     /// Largest position residual that counts as noise, m: no interpretation has a smaller one.

@@ -134,15 +134,11 @@ pub(super) fn unit_maps(chain: &Chain) -> Vec<JointMap> {
 /// Other angle units, encoder ticks, all reversed, shares of the range, and declared degrees that are radians.
 pub(super) fn other_maps(chain: &Chain) -> Vec<JointMap> {
     let degree = 1f64.to_radians();
-    let has_slides = (0..chain.dof()).any(|joint| chain.slides(joint));
     let mut maps = Vec::new();
     let angles = [TAU, PI, 1e-3, 1e-6, 0.1 * degree, 0.01 * degree, 1e-3 * degree, TAU / 400.0];
     for turning in angles.into_iter().chain([2.0, 0.5]) {
         for sign in [1.0, -1.0] {
-            maps.push(scaled(chain, sign * turning, 1.0));
-            if has_slides {
-                maps.push(scaled(chain, sign * turning, 1e-3));
-            }
+            maps.extend([1.0, 1e-3].map(|sliding| scaled(chain, sign * turning, sliding)));
         }
     }
     // The last are radians declared as degrees.
