@@ -14,18 +14,14 @@ impl PoseDiagnosis {
     /// Excess residual; 1 m and [`UNREAD_RAD`] if not decoded.
     pub(super) fn excess(&self) -> ResidualSize {
         let residual = self.residual.as_ref();
-        let m = residual.map(|residual| residual.excess_m.value);
-        match &self.encoding {
-            Ok(_) => {
-                let rad = residual.map(|residual| residual.excess_rad.value);
-                ResidualSize { m: m.unwrap_or(0.0), rad: rad.ok() }
-            }
-            // Positions may be valid, e.g. if the last joint's sign is wrong.
-            Err(NotObservable::DoesNotFollow(_)) => {
-                ResidualSize { m: m.unwrap_or(1.0), rad: Some(UNREAD_RAD) }
-            }
-            Err(_) => ResidualSize { m: m.unwrap_or(0.0), rad: None },
-        }
+        let (undecoded_m, rad) = match &self.encoding {
+            Ok(_) => (0.0, residual.map(|residual| residual.excess_rad.value).ok()),
+            Err(NotObservable::DoesNotFollow(_)) => (1.0, Some(UNREAD_RAD)),
+            Err(_) => (0.0, None),
+        };
+        // Positions may be valid although rotations do not follow, e.g. if the last joint's sign is wrong.
+        let m = residual.map_or(undecoded_m, |residual| residual.excess_m.value);
+        ResidualSize { m, rad }
     }
 
     /// Excess residual as one length.

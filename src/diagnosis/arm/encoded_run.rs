@@ -90,14 +90,7 @@ impl<'a> EncodedRun<'a> {
         }
         let (mut diagnosed, mut index) = (Vec::new(), 0);
         for ((stream, position_encoding), decoded) in both().zip(&decoded) {
-            let decoded = match decoded {
-                Ok(decoded) => decoded,
-                Err(why) => {
-                    diagnosed.push(no_diagnosis(why.clone()));
-                    continue;
-                }
-            };
-            let stream_fit = StreamFit {
+            let fit_of = |decoded| StreamFit {
                 recorded,
                 stream,
                 position_encoding,
@@ -107,8 +100,11 @@ impl<'a> EncodedRun<'a> {
                 beside_links,
                 index,
             };
-            diagnosed.push(stream_fit.diagnose());
-            index += 1;
+            diagnosed.push(match decoded {
+                Ok(decoded) => fit_of(decoded).diagnose(),
+                Err(why) => no_diagnosis(why.clone()),
+            });
+            index += usize::from(decoded.is_ok());
         }
         ArmDiagnosis { joints, streams: diagnosed }
     }
