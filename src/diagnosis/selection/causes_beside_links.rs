@@ -1,9 +1,9 @@
 //! Causes that exceed the effect of link deviations, and their accuracy together with link deviations.
 
-use super::deviation_model::{AdditionalCauses, DeviationFit, DeviationModel};
+use super::deviation_model::{DeviationFit, DeviationModel};
 use super::model_selection::Cause;
 use super::nominal_model::is_free_parameter;
-use crate::model::measurement::{PoseObservations, State, StreamAt, StreamState};
+use crate::model::measurement::{PoseObservations, State, StreamAt};
 use crate::priors::{RAD_PER_M, price};
 use nalgebra::Matrix6;
 
@@ -24,12 +24,11 @@ pub(crate) fn errors_beside_links<const N: usize>(
     sets: [&[Cause]; N],
 ) -> [ErrorsBesideLinks; N] {
     let observations = at.observations;
-    let Some(model) = DeviationModel::linearize(at) else {
+    let Some(model) = DeviationModel::linearize(at, stream) else {
         return sets.map(|_| ErrorsBesideLinks::default());
     };
     sets.map(|causes| {
-        let additional = AdditionalCauses::for_stream(causes, observations, stream);
-        let (_, fits) = model.fits_by_size(&additional);
+        let (_, fits) = model.fits_by_size(causes);
         let joints = observations.columns.len();
         // All links between have five columns.
         let frames = [(0, 0), (joints, 6 + 5 * joints.saturating_sub(1))].map(|(link, first)| {
@@ -40,15 +39,15 @@ pub(crate) fn errors_beside_links<const N: usize>(
             let weighted = fits.iter().map(|(weight, fit)| Some(weight * variance(fit)?));
             weighted.sum::<Option<f64>>().map(f64::sqrt)
         };
-        let zeros = additional.zeros.iter().map(|&joint| {
+        let zeros = model.zeros_of(causes).into_iter().map(|joint| {
             let zero =
                 |fit: &DeviationFit| Some(model.measured_zero(fit, joint)?.std_error.powi(2));
             (Cause::Zero(observations.columns[joint]), std_error(&zero))
         });
         let scale_at = model.kinds.len() - 1;
         let scale = |fit: &DeviationFit| Some(fit.variance(scale_at));
-        let scale =
-            additional.radial_scale.then(|| (Cause::RadialScale(stream), std_error(&scale)));
+        let cause = Cause::RadialScale(stream);
+        let scale = causes.contains(&cause).then(|| (cause, std_error(&scale)));
         let known = |(cause, std_error): (Cause, Option<f64>)| Some((cause, std_error?));
         ErrorsBesideLinks { std_errors: zeros.chain(scale).filter_map(known).collect(), frames }
     })
@@ -65,20 +64,17 @@ pub(crate) fn causes_beyond_link_deviations(
     stream: usize,
     causes: &[Cause],
 ) -> Vec<Cause> {
-    let Some(model) = DeviationModel::linearize(at) else {
+    let Some(model) = DeviationModel::linearize(at, stream) else {
         return causes.to_vec();
     };
-    let additional =
-        |causes: &[Cause]| AdditionalCauses::for_stream(causes, at.observations, stream);
-    let evidence = |causes: &[Cause]| model.evidence(&additional(causes));
     let min_gain = price(model.dof);
     let mut retained = causes.to_vec();
-    let mut present = evidence(&retained);
+    let mut present = model.evidence(&retained);
     let without_one = |causes: &[Cause]| {
         let without = (0..causes.len()).map(|at| {
             let mut rest = causes.to_vec();
             rest.remove(at);
-            (evidence(&rest), rest)
+            (model.evidence(&rest), rest)
         });
         without.max_by(|a, b| a.0.total_cmp(&b.0))
     };
@@ -89,7 +85,7 @@ pub(crate) fn causes_beyond_link_deviations(
     }
     let scale = Cause::RadialScale(stream);
     if retained.contains(&scale) {
-        let evidence = |causes: &[Cause]| model.evidence_of_unequal_links(&additional(causes));
+        let evidence = |causes: &[Cause]| model.evidence_of_unequal_links(causes);
         let others: Vec<Cause> = retained.iter().copied().filter(|cause| *cause != scale).collect();
         if evidence(&retained) <= evidence(&others) + min_gain {
             return others;
@@ -109,17 +105,14 @@ pub(crate) fn zero_instead_of_frame(
     causes: &[Cause],
     zeros: impl Iterator<Item = Cause>,
 ) -> Option<Cause> {
-    let model = |(observations, stream): (&&PoseObservations, &StreamState)| {
-        DeviationModel::linearize(observations.at(stream, &state.offsets))
+    let of_stream = |(s, observations): (usize, &&PoseObservations)| {
+        DeviationModel::linearize(observations.at(&state.streams[s], &state.offsets), s)
     };
     let models: Vec<DeviationModel> =
-        observations.iter().zip(&state.streams).map(model).collect::<Option<_>>()?;
+        observations.iter().enumerate().map(of_stream).collect::<Option<_>>()?;
     let evidence = |cause: Option<Cause>| -> f64 {
         let with: Vec<Cause> = causes.iter().copied().chain(cause).collect();
-        let of_stream = |(s, model): (usize, &DeviationModel)| {
-            model.evidence(&AdditionalCauses::for_stream(&with, observations[s], s))
-        };
-        models.iter().enumerate().map(of_stream).sum()
+        models.iter().map(|model| model.evidence(&with)).sum()
     };
     let scored = zeros.map(|zero| (evidence(Some(zero)), zero));
     let (likeliest, zero) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -146,11 +139,10 @@ impl DeviationModel {
     }
 
     /// Twice the log-likelihood at the likeliest size of each link's deviations.
-    fn evidence_of_unequal_links(&self, additional: &AdditionalCauses) -> f64 {
-        let (_, by_size) = self.fits_by_size(additional);
+    fn evidence_of_unequal_links(&self, causes: &[Cause]) -> f64 {
+        let (_, by_size) = self.fits_by_size(causes);
         let start = by_size.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-        let likeliest =
-            start.and_then(|(_, fit)| self.maximize_likelihood(additional, &fit.sizes_m));
+        let likeliest = start.and_then(|(_, fit)| self.maximize_likelihood(causes, &fit.sizes_m));
         likeliest.map_or(f64::NEG_INFINITY, |fit| {
             fit.evidence + Self::log_prior(self.typical_size_m(&fit.sizes_m))
         })

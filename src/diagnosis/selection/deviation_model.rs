@@ -13,7 +13,7 @@
 use super::model_selection::Cause;
 use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::Measured;
-use crate::model::measurement::{PoseObservations, StreamAt};
+use crate::model::measurement::StreamAt;
 use crate::priors::{
     ABSENT_RADIAL_SCALE_PRIOR, FRAME_PRIOR_M, FREE_PRIOR, MODEL_ERROR_M, RAD_PER_M,
     RADIAL_SCALE_PRIOR, ZERO_PRIOR,
@@ -41,40 +41,6 @@ pub(super) enum DeviationParameter {
     RadialScale,
 }
 
-/// Causes beside link deviations.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct AdditionalCauses {
-    /// Joints of the chain with a zero offset.
-    pub zeros: Vec<usize>,
-    pub reference: bool,
-    pub tool: bool,
-    pub radial_scale: bool,
-}
-
-impl AdditionalCauses {
-    pub fn zeros(joints: &[usize]) -> Self {
-        Self { zeros: joints.to_vec(), ..Self::default() }
-    }
-
-    /// Causes that affect `stream`.
-    pub fn for_stream(causes: &[Cause], observations: &PoseObservations, stream: usize) -> Self {
-        let mut additional = Self::default();
-        for cause in causes {
-            match *cause {
-                Cause::Zero(column) => {
-                    let joint = observations.columns.iter().position(|own| *own == column);
-                    additional.zeros.extend(joint);
-                }
-                Cause::Reference(s) => additional.reference |= s == stream,
-                Cause::Tool(s) => additional.tool |= s == stream,
-                Cause::RadialScale(s) => additional.radial_scale |= s == stream,
-                Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
-            }
-        }
-        additional
-    }
-}
-
 /// Ascending grid.
 pub(super) fn sizes_m() -> impl Iterator<Item = f64> {
     let (min_size_m, max_size_m, times) = DEVIATION_GRID_M;
@@ -84,6 +50,10 @@ pub(super) fn sizes_m() -> impl Iterator<Item = f64> {
 
 /// Stream linearised in link frames, latency and zeros.
 pub(super) struct DeviationModel {
+    /// Index of the stream.
+    stream: usize,
+    /// Columns of the chain's joints in the track.
+    pub columns: Vec<usize>,
     normal: Normal,
     /// Zeros precede the radial scale, which is last.
     pub kinds: Vec<DeviationParameter>,
@@ -128,7 +98,7 @@ impl DeviationFit {
 
 impl DeviationModel {
     /// The weights come from the residual when all links may deviate by about 1 mm.
-    pub fn linearize(stream: StreamAt) -> Option<Self> {
+    pub fn linearize(stream: StreamAt, index: usize) -> Option<Self> {
         let rows = stream.observations.rows(MAX_DEVIATION_SAMPLES);
         let linear = link_frames(stream, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = stream.observations.columns.len();
@@ -137,9 +107,12 @@ impl DeviationModel {
         if 6 * linear.len() <= kinds.len() {
             return None;
         }
-        let every = AdditionalCauses { zeros: (0..joints).collect(), ..Default::default() };
+        let track_columns = stream.observations.columns.to_vec();
+        let every: Vec<Cause> = track_columns.iter().copied().map(Cause::Zero).collect();
         let mut weights = linear.first_weights();
-        let mut model = Self { normal: Normal::zeros(kinds.len()), kinds, joints, dof: 3.0 };
+        let normal = Normal::zeros(kinds.len());
+        let mut model =
+            Self { stream: index, columns: track_columns, normal, kinds, joints, dof: 3.0 };
         for _ in 0..4 {
             let normal = linear.normal(&weights);
             model.dof = normal.dof(model.kinds.len());
@@ -155,6 +128,15 @@ impl DeviationModel {
         vec![size_m; self.joints + 2]
     }
 
+    /// Joints of the chain with a zero among `causes`.
+    pub fn zeros_of(&self, causes: &[Cause]) -> Vec<usize> {
+        let joint = |cause: &Cause| match cause {
+            Cause::Zero(column) => self.columns.iter().position(|own| own == column),
+            _ => None,
+        };
+        causes.iter().filter_map(joint).collect()
+    }
+
     pub fn zero_at(&self, joint: usize) -> usize {
         self.kinds.len() - 1 - self.joints + joint
     }
@@ -168,10 +150,14 @@ impl DeviationModel {
         })
     }
 
-    pub fn fit_with(&self, additional: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
-        let is_of_frame = |group: usize| {
-            (additional.reference && group == 0) || (additional.tool && group == self.joints)
-        };
+    /// Fit with `causes` beside the deviations.
+    pub fn fit_with(&self, causes: &[Cause], sizes_m: &[f64]) -> Option<DeviationFit> {
+        let [has_reference, has_tool, has_radial_scale] =
+            [Cause::Reference, Cause::Tool, Cause::RadialScale]
+                .map(|cause| causes.contains(&cause(self.stream)));
+        let zeros = self.zeros_of(causes);
+        let is_of_frame =
+            |group: usize| (has_reference && group == 0) || (has_tool && group == self.joints);
         let mut variances: Vec<f64> = self
             .kinds
             .iter()
@@ -181,18 +167,16 @@ impl DeviationModel {
                     let frame = if is_of_frame(*group) { FRAME_PRIOR_M * unit } else { 0.0 };
                     (unit * sizes_m[*group]).powi(2) + frame.powi(2)
                 }
-                DeviationParameter::RadialScale => if additional.radial_scale {
-                    RADIAL_SCALE_PRIOR
-                } else {
-                    ABSENT_RADIAL_SCALE_PRIOR
+                DeviationParameter::RadialScale => {
+                    if has_radial_scale { RADIAL_SCALE_PRIOR } else { ABSENT_RADIAL_SCALE_PRIOR }
+                        .powi(2)
                 }
-                .powi(2),
             })
             .collect();
-        for &joint in &additional.zeros {
+        for &joint in &zeros {
             variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
         }
-        if let Some(last) = self.joints.checked_sub(1).filter(|_| additional.tool) {
+        if let Some(last) = self.joints.checked_sub(1).filter(|_| has_tool) {
             // Equivalent to tool rotation about the last axis.
             variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
         }
@@ -212,7 +196,7 @@ impl DeviationModel {
         };
         let unlike: f64 = self.groups().map(unlike).sum();
         Some(DeviationFit {
-            zeros: additional.zeros.clone(),
+            zeros,
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean) - log_det - log_prior - SIZE_PRIOR_DOF * unlike,
             mean,
@@ -244,15 +228,15 @@ impl DeviationModel {
     }
 
     /// Twice the log-likelihood, averaged over the common size of the deviations.
-    pub fn evidence(&self, additional: &AdditionalCauses) -> f64 {
-        self.fits_by_size(additional).0
+    pub fn evidence(&self, causes: &[Cause]) -> f64 {
+        self.fits_by_size(causes).0
     }
 
     /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
     /// probability of that size.
-    pub fn fits_by_size(&self, additional: &AdditionalCauses) -> (f64, Vec<(f64, DeviationFit)>) {
+    pub fn fits_by_size(&self, causes: &[Cause]) -> (f64, Vec<(f64, DeviationFit)>) {
         let fits = sizes_m().filter_map(|size_m| {
-            let fit = self.fit_with(additional, &self.uniform_sizes(size_m))?;
+            let fit = self.fit_with(causes, &self.uniform_sizes(size_m))?;
             Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
         });
         let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
@@ -271,20 +255,16 @@ impl DeviationModel {
 
     /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
     /// slowly, so the step grows while the likelihood increases.
-    pub fn maximize_likelihood(
-        &self,
-        additional: &AdditionalCauses,
-        sizes_m: &[f64],
-    ) -> Option<DeviationFit> {
+    pub fn maximize_likelihood(&self, causes: &[Cause], sizes_m: &[f64]) -> Option<DeviationFit> {
         let (max_iterations, max_change) = SIZE_ITERATION_LIMITS;
-        let mut fit = self.fit_with(additional, sizes_m)?;
+        let mut fit = self.fit_with(causes, sizes_m)?;
         let mut stride = 1.0;
         for _ in 0..max_iterations {
             let likelier = self.updated_sizes(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
             // A large step may make the system singular.
-            match self.fit_with(additional, &next).filter(|next| next.evidence > fit.evidence) {
+            match self.fit_with(causes, &next).filter(|next| next.evidence > fit.evidence) {
                 Some(next) => {
                     let gained = next.evidence - fit.evidence;
                     (fit, stride) = (next, 2.0 * stride);

@@ -3,10 +3,9 @@
 //! A joint zero is reported only if it exceeds the effect of link deviations. The interval of a zero includes the inaccuracy
 //! of the nominal model.
 
-use super::deviation_model::{
-    AdditionalCauses, DeviationFit, DeviationModel, DeviationParameter, sizes_m,
-};
-use crate::model::measurement::{PoseObservations, StreamAt};
+use super::deviation_model::{DeviationFit, DeviationModel, DeviationParameter, sizes_m};
+use super::model_selection::Cause;
+use crate::model::measurement::StreamAt;
 use crate::priors::{
     FREE_PRIOR, LINK_PRIOR_M, MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_ZERO, ZERO_PRIOR,
 };
@@ -64,7 +63,7 @@ pub(crate) fn estimate_link_deviations(
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = DeviationModel::linearize(observations.at(state, &offsets))?;
+        let model = DeviationModel::linearize(observations.at(state, &offsets), 0)?;
         let fit = model.select_zeros(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
@@ -72,7 +71,7 @@ pub(crate) fn estimate_link_deviations(
         }
         let moved = next.iter().zip(&offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if moved < 1e-6 || round == LINEARIZATION_ROUNDS {
-            return Some(model.to_link_deviations(&fit, observations, &offsets));
+            return Some(model.to_link_deviations(&fit, observations.joints.dof, &offsets));
         }
         (offsets, chosen) = (next, Some(fit));
     }
@@ -80,13 +79,16 @@ pub(crate) fn estimate_link_deviations(
 }
 
 impl DeviationModel {
+    fn zeros(&self, joints: &[usize]) -> Vec<Cause> {
+        joints.iter().map(|&joint| Cause::Zero(self.columns[joint])).collect()
+    }
+
     /// Started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
-        let none = AdditionalCauses::default();
-        let fit = |link_m| self.fit_with(&none, &self.uniform_sizes(link_m));
+        let fit = |link_m| self.fit_with(&[], &self.uniform_sizes(link_m));
         let fits = sizes_m().filter_map(fit);
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        self.maximize_likelihood(&none, &best.sizes_m)
+        self.maximize_likelihood(&[], &best.sizes_m)
     }
 
     /// One fit per joint that is not `excluded`.
@@ -99,7 +101,7 @@ impl DeviationModel {
         let others = (0..self.joints).filter(|joint| !excluded.contains(joint));
         let with = |joint| {
             let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
-            Some((joint, self.maximize_likelihood(&AdditionalCauses::zeros(&with), sizes_m)?))
+            Some((joint, self.maximize_likelihood(&self.zeros(&with), sizes_m)?))
         };
         others.filter_map(with).collect()
     }
@@ -108,8 +110,7 @@ impl DeviationModel {
     fn select_zeros(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
         let mut chosen = match before {
             Some(before) => {
-                let zeros = AdditionalCauses::zeros(&before.zeros);
-                self.maximize_likelihood(&zeros, &before.sizes_m)?
+                self.maximize_likelihood(&self.zeros(&before.zeros), &before.sizes_m)?
             }
             None => self.without_zeros()?,
         };
@@ -130,19 +131,19 @@ impl DeviationModel {
     fn to_link_deviations(
         &self,
         fit: &DeviationFit,
-        observations: &PoseObservations,
+        dof: usize,
         offsets: &[f64],
     ) -> LinkDeviations {
         let absolute = |fit: &DeviationFit, joint: usize| {
             let zero = self.measured_zero(fit, joint)?;
-            Some(Measured { value: offsets[observations.columns[joint]] + zero.value, ..zero })
+            Some(Measured { value: offsets[self.columns[joint]] + zero.value, ..zero })
         };
-        let mut zeros = vec![None; observations.joints.dof];
+        let mut zeros = vec![None; dof];
         for &joint in &fit.zeros {
-            zeros[observations.columns[joint]] = absolute(fit, joint);
+            zeros[self.columns[joint]] = absolute(fit, joint);
         }
         for (joint, with) in self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &fit.zeros) {
-            zeros[observations.columns[joint]] = absolute(&with, joint)
+            zeros[self.columns[joint]] = absolute(&with, joint)
                 .filter(|zero| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
         }
         let confounders_of = |&joint: &usize| {
@@ -155,11 +156,11 @@ impl DeviationModel {
             // An insignificant zero replaces nothing: the scatter of all zeros explains the residual.
             let confounder = |(other, fit_with_zero): (usize, DeviationFit)| {
                 let zero = self.measured_zero(&fit_with_zero, other)?;
-                let column = observations.columns[other];
+                let column = self.columns[other];
                 (zero.value.abs() > zero.half_width(0.95))
                     .then(|| Confounder::JointZero(column, offsets[column] + zero.value))
             };
-            (observations.columns[joint], as_likely.filter_map(confounder).collect())
+            (self.columns[joint], as_likely.filter_map(confounder).collect())
         };
         let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
         let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
@@ -167,21 +168,17 @@ impl DeviationModel {
             reported: fit.zeros.iter().map(confounders_of).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
-            largest_displacement: self.largest_displacement(fit, observations.columns),
+            largest_displacement: self.largest_displacement(fit),
         }
     }
 
     /// Beyond the first joint and before the last. Other links are the base and the tool. `None` unless the displacement of
     /// one link alone explains the residual, which usual deviations do not, and no other link is as likely.
-    fn largest_displacement(
-        &self,
-        fit: &DeviationFit,
-        columns: &[usize],
-    ) -> Option<LinkDisplacement> {
+    fn largest_displacement(&self, fit: &DeviationFit) -> Option<LinkDisplacement> {
         /// Residual beside usual deviations, relative to that beside the displaced link; not calibrated. Far displacements in
         /// directions that hardly move the tip make a residual smaller, too.
         const MIN_RESIDUAL_RATIO: f64 = 2.0;
-        let zeros = AdditionalCauses::zeros(&fit.zeros);
+        let zeros = self.zeros(&fit.zeros);
         let usual = self.uniform_sizes(self.typical_size_m(&fit.sizes_m).min(LINK_PRIOR_M));
         let links = self.groups().filter(|group| (1..self.joints).contains(group));
         let alone = links.filter_map(|link| {
@@ -203,7 +200,7 @@ impl DeviationModel {
             let mean: Vec<f64> = own.iter().map(|&i| best.mean[i]).collect();
             let covariance = best.covariance_columns(&own).select_rows(&own);
             let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
-            LinkDisplacement { joints: [columns[link - 1], columns[*link]], length_m }
+            LinkDisplacement { joints: [self.columns[link - 1], self.columns[*link]], length_m }
         })
     }
 }
