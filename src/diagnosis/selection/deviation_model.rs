@@ -31,14 +31,17 @@ const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
 
-#[derive(Clone, Copy, PartialEq)]
-pub(super) enum DeviationParameter {
-    /// Not constrained by the nominal model.
-    Unconstrained,
-    /// `unit` is its standard deviation at group size 1 m.
-    Deviation { group: usize, unit: f64 },
-    /// No link deviation imitates it.
-    RadialScale,
+pub(super) struct DeviationParameter {
+    /// Link, or the zeros. `None` if the nominal model does not constrain it.
+    pub group: Option<usize>,
+    /// Standard deviation, at group size 1 m.
+    pub unit: f64,
+    /// Cause of a larger value, with its standard deviation.
+    cause: Option<(Cause, f64)>,
+}
+
+impl DeviationParameter {
+    const UNCONSTRAINED: Self = Self { group: None, unit: FREE_PRIOR, cause: None };
 }
 
 /// Ascending grid.
@@ -102,7 +105,7 @@ impl DeviationModel {
         let rows = stream.observations.rows(MAX_DEVIATION_SAMPLES);
         let linear = link_frames(stream, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = stream.observations.columns.len();
-        let (columns, kinds) = parameters(stream);
+        let (columns, kinds) = parameters(stream, index);
         // Position and rotation of each sample.
         if 6 * linear.len() <= kinds.len() {
             return None;
@@ -143,39 +146,18 @@ impl DeviationModel {
 
     /// Links and zeros with deviations.
     pub fn groups(&self) -> impl Iterator<Item = usize> {
-        (0..self.joints + 2).filter(|own| {
-            self.kinds.iter().any(
-                |kind| matches!(kind, DeviationParameter::Deviation { group, .. } if group == own),
-            )
-        })
+        (0..self.joints + 2).filter(|own| self.kinds.iter().any(|kind| kind.group == Some(*own)))
     }
 
     /// Fit with `causes` beside the deviations.
     pub fn fit_with(&self, causes: &[Cause], sizes_m: &[f64]) -> Option<DeviationFit> {
-        let [has_reference, has_tool, has_radial_scale] =
-            [Cause::Reference, Cause::Tool, Cause::RadialScale]
-                .map(|cause| causes.contains(&cause(self.stream)));
-        let zeros = self.zeros_of(causes);
-        let is_of_frame =
-            |group: usize| (has_reference && group == 0) || (has_tool && group == self.joints);
-        let mut variances: Vec<f64> = self
-            .kinds
-            .iter()
-            .map(|of| match of {
-                DeviationParameter::Unconstrained => FREE_PRIOR.powi(2),
-                DeviationParameter::Deviation { group, unit } => {
-                    let frame = if is_of_frame(*group) { FRAME_PRIOR_M * unit } else { 0.0 };
-                    (unit * sizes_m[*group]).powi(2) + frame.powi(2)
-                }
-                DeviationParameter::RadialScale => {
-                    if has_radial_scale { RADIAL_SCALE_PRIOR } else { ABSENT_RADIAL_SCALE_PRIOR }
-                        .powi(2)
-                }
-            })
-            .collect();
-        for &joint in &zeros {
-            variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
-        }
+        let variance = |DeviationParameter { group, unit, cause }: &DeviationParameter| {
+            let deviation = group.map_or(*unit, |group| unit * sizes_m[group]);
+            let of_cause = cause.filter(|(cause, _)| causes.contains(cause));
+            deviation.powi(2) + of_cause.map_or(0.0, |(_, size)| size.powi(2))
+        };
+        let mut variances: Vec<f64> = self.kinds.iter().map(variance).collect();
+        let has_tool = causes.contains(&Cause::Tool(self.stream));
         if let Some(last) = self.joints.checked_sub(1).filter(|_| has_tool) {
             // Equivalent to tool rotation about the last axis.
             variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
@@ -196,7 +178,7 @@ impl DeviationModel {
         };
         let unlike: f64 = self.groups().map(unlike).sum();
         Some(DeviationFit {
-            zeros,
+            zeros: self.zeros_of(causes),
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean) - log_det - log_prior - SIZE_PRIOR_DOF * unlike,
             mean,
@@ -207,10 +189,8 @@ impl DeviationModel {
     /// The standard error includes the scatter of all zeros, estimated from the other joints.
     pub fn measured_zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
-        let DeviationParameter::Deviation { group, unit } = self.kinds[at] else {
-            return None;
-        };
-        let variance = fit.variance(at) + (unit * fit.sizes_m[group]).powi(2);
+        let DeviationParameter { group, unit, .. } = self.kinds[at];
+        let variance = fit.variance(at) + (unit * fit.sizes_m[group?]).powi(2);
         let others = SIZE_PRIOR_DOF + (self.joints - fit.zeros.len()) as f64;
         (variance > 0.0).then(|| Measured {
             value: fit.mean[at],
@@ -286,10 +266,10 @@ impl DeviationModel {
         let variances = fit.variances();
         let mut sums = vec![(SIZE_PRIOR_DOF * usual_m.powi(2), SIZE_PRIOR_DOF); fit.sizes_m.len()];
         for (i, of) in self.kinds.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
-            if let DeviationParameter::Deviation { group, unit } = of {
+            if let Some(group) = of.group {
                 let square = fit.mean[i].powi(2) + variances[i];
-                sums[*group].0 += square / unit.powi(2);
-                sums[*group].1 += 1.0;
+                sums[group].0 += square / of.unit.powi(2);
+                sums[group].1 += 1.0;
             }
         }
         let (min_size_m, max_size_m, _) = DEVIATION_GRID_M;
@@ -301,20 +281,21 @@ impl DeviationModel {
 /// Columns of [`link_frames`] and kinds of the parameters: deviations of each link frame, latency, zeros (a
 /// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
 /// zero.
-fn parameters(stream: StreamAt) -> (DMatrix<f64>, Vec<DeviationParameter>) {
+fn parameters(stream: StreamAt, index: usize) -> (DMatrix<f64>, Vec<DeviationParameter>) {
     let StreamAt { observations, .. } = stream;
     let joints = observations.columns.len();
     let latency = 6 * (joints + 1);
     let width = latency + joints + 2;
     let axes = observations.chain.joint_axes();
     let is_rotary = |joint: usize| !observations.chain.slides(joint);
-    let deviation = |group: usize, is_rotation: bool| {
-        let unit = if is_rotation { RAD_PER_M } else { 1.0 };
-        DeviationParameter::Deviation { group, unit }
-    };
+    let unit = |is_rotation: bool| if is_rotation { RAD_PER_M } else { 1.0 };
     let (mut columns, mut kinds) = (Vec::new(), Vec::new());
     for link in 0..=joints {
         let is_free = is_free_parameter(6 * link, stream);
+        let frame = match link {
+            0 => Some(Cause::Reference(index)),
+            _ => (link == joints).then_some(Cause::Tool(index)),
+        };
         let joint = link.checked_sub(1).filter(|_| !is_free);
         let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
         for (axis, is_rotation) in (0..6).map(|i| (i % 3, i >= 3)) {
@@ -325,16 +306,22 @@ fn parameters(stream: StreamAt) -> (DMatrix<f64>, Vec<DeviationParameter>) {
             let mut column = DVector::zeros(width);
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
+            let unit = unit(is_rotation);
+            let cause = frame.map(|frame| (frame, FRAME_PRIOR_M * unit));
             kinds.push(match is_free {
-                true => DeviationParameter::Unconstrained,
-                false => deviation(link, is_rotation),
+                true => DeviationParameter::UNCONSTRAINED,
+                false => DeviationParameter { group: Some(link), unit, cause },
             });
         }
     }
     let identity = DMatrix::<f64>::identity(width, width);
     columns.extend(identity.column_iter().skip(latency).map(|column| column.into_owned()));
-    kinds.push(DeviationParameter::Unconstrained);
-    kinds.extend((0..joints).map(|joint| deviation(joints + 1, is_rotary(joint))));
-    kinds.push(DeviationParameter::RadialScale);
+    kinds.push(DeviationParameter::UNCONSTRAINED);
+    kinds.extend(observations.columns.iter().enumerate().map(|(joint, &column)| {
+        let cause = Some((Cause::Zero(column), ZERO_PRIOR));
+        DeviationParameter { group: Some(joints + 1), unit: unit(is_rotary(joint)), cause }
+    }));
+    let cause = Some((Cause::RadialScale(index), RADIAL_SCALE_PRIOR));
+    kinds.push(DeviationParameter { group: None, unit: ABSENT_RADIAL_SCALE_PRIOR, cause });
     (DMatrix::from_columns(&columns), kinds)
 }

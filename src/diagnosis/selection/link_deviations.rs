@@ -195,8 +195,11 @@ impl DeviationModel {
             .get(1)
             .is_none_or(|(_, other)| best.evidence > other.evidence + MAX_LOG_RATIO_OF_CONFOUNDER);
         (is_needed && is_single).then(|| {
-            let own = DeviationParameter::Deviation { group: *link, unit: 1.0 };
-            let own: Vec<usize> = (0..self.kinds.len()).filter(|&i| self.kinds[i] == own).collect();
+            let is_own = |&i: &usize| {
+                let DeviationParameter { group, unit, .. } = &self.kinds[i];
+                *group == Some(*link) && *unit == 1.0
+            };
+            let own: Vec<usize> = (0..self.kinds.len()).filter(is_own).collect();
             let mean: Vec<f64> = own.iter().map(|&i| best.mean[i]).collect();
             let covariance = best.covariance_columns(&own).select_rows(&own);
             let length_m = MeasuredLength::estimate(&mean, &covariance, self.dof).norm;
