@@ -3,7 +3,7 @@
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::model::measurement::{State, twist_at, twist_lengths, twist_of};
-use crate::selection::causes_beside_links::{ErrorsBesideLinks, errors_beside_links};
+use crate::selection::deviation_model::DeviationModel;
 use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
 use ground::geometry::Vec3;
@@ -42,17 +42,19 @@ impl BesideLinks {
             }
             let scale = with(&|cause| *cause == Cause::RadialScale(index));
             let at = decoded.observations.at(state, &offsets);
-            let [of_selected, of_zeros, of_scale] =
-                errors_beside_links(at, index, [selected, &zeros, &scale]);
-            let ErrorsBesideLinks { std_errors, frames: [reference, last_link] } = of_selected;
+            let Some(model) = DeviationModel::linearize(at, index) else { continue };
+            let (_, fits) = model.fits_by_size(selected);
             if !is_nominal {
+                let [reference, last_link] = model.frame_covariances(&fits);
                 let tool = last_link.map(|of_link| of_tool(decoded.observations.chain, &of_link));
                 beside.frames.extend(reference.map(|own| (Cause::Reference(index), own)));
                 beside.frames.extend(tool.map(|own| (Cause::Tool(index), own)));
             }
-            let others = of_zeros.std_errors.into_iter().chain(of_scale.std_errors);
+            let others = [&zeros, &scale]
+                .into_iter()
+                .flat_map(|causes| model.std_errors(causes, &model.fits_by_size(causes).1));
             let others = others.filter(|(cause, _)| !selected.contains(cause));
-            let found = std_errors.into_iter().chain(others);
+            let found = model.std_errors(selected, &fits).into_iter().chain(others);
             for (cause, std_error) in found.filter(|(cause, _)| !is_nominal || is_scale(cause)) {
                 let own = beside.std_errors.entry(cause).or_insert(std_error);
                 *own = own.min(std_error);

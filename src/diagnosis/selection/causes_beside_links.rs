@@ -1,57 +1,10 @@
 //! Causes that exceed the effect of link deviations, and their accuracy together with link deviations.
 
-use super::deviation_model::{DeviationFit, DeviationModel};
+use super::deviation_model::{DeviationFit, DeviationModel, WeightedFit};
 use super::model_selection::Cause;
-use super::nominal_model::is_free_parameter;
 use crate::model::measurement::{PoseObservations, State, StreamAt};
 use crate::priors::{RAD_PER_M, price};
 use nalgebra::Matrix6;
-
-/// Errors of causes that are free together, including the effect of link deviations that may hide in the noise.
-#[derive(Default)]
-pub(crate) struct ErrorsBesideLinks {
-    /// Standard errors of joint zeros and radial scales.
-    pub std_errors: Vec<(Cause, f64)>,
-    /// Covariances of the twists of the reference and of the last joint's link, in their own axes. `None` unless the
-    /// reference or the tool differs from the model.
-    pub frames: [Option<Matrix6<f64>>; 2],
-}
-
-/// For each of `sets` of causes.
-pub(crate) fn errors_beside_links<const N: usize>(
-    at: StreamAt,
-    stream: usize,
-    sets: [&[Cause]; N],
-) -> [ErrorsBesideLinks; N] {
-    let observations = at.observations;
-    let Some(model) = DeviationModel::linearize(at, stream) else {
-        return sets.map(|_| ErrorsBesideLinks::default());
-    };
-    sets.map(|causes| {
-        let (_, fits) = model.fits_by_size(causes);
-        let joints = observations.columns.len();
-        // All links between have five columns.
-        let frames = [(0, 0), (joints, 6 + 5 * joints.saturating_sub(1))].map(|(link, first)| {
-            is_free_parameter(6 * link, at)
-                .then(|| fits.iter().map(|it| model.frame_covariance(it, first)).sum())
-        });
-        let std_error = |variance: &dyn Fn(&DeviationFit) -> Option<f64>| {
-            let weighted = fits.iter().map(|(weight, fit)| Some(weight * variance(fit)?));
-            weighted.sum::<Option<f64>>().map(f64::sqrt)
-        };
-        let zeros = model.zeros_of(causes).into_iter().map(|joint| {
-            let zero =
-                |fit: &DeviationFit| Some(model.measured_zero(fit, joint)?.std_error.powi(2));
-            (Cause::Zero(observations.columns[joint]), std_error(&zero))
-        });
-        let scale_at = model.kinds.len() - 1;
-        let scale = |fit: &DeviationFit| Some(fit.variance(scale_at));
-        let cause = Cause::RadialScale(stream);
-        let scale = causes.contains(&cause).then(|| (cause, std_error(&scale)));
-        let known = |(cause, std_error): (Cause, Option<f64>)| Some((cause, std_error?));
-        ErrorsBesideLinks { std_errors: zeros.chain(scale).filter_map(known).collect(), frames }
-    })
-}
 
 /// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
@@ -121,9 +74,40 @@ pub(crate) fn zero_instead_of_frame(
 }
 
 impl DeviationModel {
+    /// Standard errors of the joint zeros and the radial scale among `causes`, by fits with these. They include the
+    /// effect of link deviations that may hide in the noise.
+    pub fn std_errors(&self, causes: &[Cause], fits: &[WeightedFit]) -> Vec<(Cause, f64)> {
+        let std_error = |&cause: &Cause| {
+            let variance = |fit: &DeviationFit| match cause {
+                Cause::Zero(column) => {
+                    let joint = self.columns.iter().position(|own| *own == column)?;
+                    Some(self.measured_zero(fit, joint)?.std_error.powi(2))
+                }
+                Cause::RadialScale(s) if s == self.stream => {
+                    Some(fit.variance(self.kinds.len() - 1))
+                }
+                _ => None,
+            };
+            let weighted = fits.iter().map(|(weight, fit)| Some(weight * variance(fit)?));
+            Some((cause, weighted.sum::<Option<f64>>()?.sqrt()))
+        };
+        causes.iter().filter_map(std_error).collect()
+    }
+
+    /// Covariances of the twists of the reference and of the last joint's link, in their own axes. `None` unless the
+    /// reference or the tool differs from the model.
+    pub fn frame_covariances(&self, fits: &[WeightedFit]) -> [Option<Matrix6<f64>>; 2] {
+        // All links between have five columns.
+        let last = 6 + 5 * self.joints.saturating_sub(1);
+        [0, last].map(|first| {
+            let is_free = self.kinds[first].group.is_none();
+            is_free.then(|| fits.iter().map(|it| self.frame_covariance(it, first)).sum())
+        })
+    }
+
     /// Share of a fit in the covariance of a frame. Its own link deviates as well. The zero of the last joint is
     /// fixed, because the tool may equal it.
-    fn frame_covariance(&self, (weight, fit): &(f64, DeviationFit), first: usize) -> Matrix6<f64> {
+    fn frame_covariance(&self, (weight, fit): &WeightedFit, first: usize) -> Matrix6<f64> {
         let last_zero = self.zero_at(self.joints.saturating_sub(1));
         let columns: Vec<usize> = (first..first + 6).chain([last_zero]).collect();
         let covariance = fit.covariance_columns(&columns);

@@ -31,7 +31,7 @@ const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
 
-pub(super) struct DeviationParameter {
+pub(crate) struct DeviationParameter {
     /// Link, or the zeros. `None` if the nominal model does not constrain it.
     pub group: Option<usize>,
     /// Standard deviation, at group size 1 m.
@@ -52,9 +52,9 @@ pub(super) fn sizes_m() -> impl Iterator<Item = f64> {
 }
 
 /// Stream linearised in link frames, latency and zeros.
-pub(super) struct DeviationModel {
+pub(crate) struct DeviationModel {
     /// Index of the stream.
-    stream: usize,
+    pub(super) stream: usize,
     /// Columns of the chain's joints in the track.
     pub columns: Vec<usize>,
     normal: Normal,
@@ -66,7 +66,7 @@ pub(super) struct DeviationModel {
     pub dof: f64,
 }
 
-pub(super) struct DeviationFit {
+pub(crate) struct DeviationFit {
     /// Joints whose zeros are fixed effects.
     pub zeros: Vec<usize>,
     /// Size per group, m.
@@ -77,6 +77,9 @@ pub(super) struct DeviationFit {
     /// Inverse of the covariance.
     precision: Cholesky<f64, Dyn>,
 }
+
+/// Fit with its weight.
+pub(crate) type WeightedFit = (f64, DeviationFit);
 
 impl DeviationFit {
     /// Columns `at` of the covariance.
@@ -214,12 +217,12 @@ impl DeviationModel {
 
     /// Twice the log-likelihood, averaged over the common size of the deviations, and one fit per size, with the posterior
     /// probability of that size.
-    pub fn fits_by_size(&self, causes: &[Cause]) -> (f64, Vec<(f64, DeviationFit)>) {
+    pub fn fits_by_size(&self, causes: &[Cause]) -> (f64, Vec<WeightedFit>) {
         let fits = sizes_m().filter_map(|size_m| {
             let fit = self.fit_with(causes, &self.uniform_sizes(size_m))?;
             Some((0.5 * (fit.evidence + Self::log_prior(size_m)), fit))
         });
-        let mut fits: Vec<(f64, DeviationFit)> = fits.collect();
+        let mut fits: Vec<WeightedFit> = fits.collect();
         let likeliest = fits.iter().map(|fit| fit.0).fold(f64::NEG_INFINITY, f64::max);
         fits.iter_mut().for_each(|fit| fit.0 = (fit.0 - likeliest).exp());
         let total: f64 = fits.iter().map(|fit| fit.0).sum();
