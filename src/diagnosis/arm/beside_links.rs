@@ -2,7 +2,7 @@
 
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
-use crate::model::measurement::{State, twist_at, twist_lengths, twist_of};
+use crate::model::measurement::{twist_at, twist_lengths, twist_of};
 use crate::selection::deviation_model::DeviationModel;
 use crate::selection::model_selection::Cause;
 use crate::{FrameEstimate, Measured};
@@ -35,13 +35,13 @@ impl BesideLinks {
             selected.iter().chain(others).copied().collect()
         };
         let zeros = with(&|cause| matches!(cause, Cause::Zero(_)));
-        let State { offsets, streams } = fitted.exact_state();
-        for (index, (decoded, state)) in decoded.iter().zip(&streams).enumerate() {
+        let state = fitted.exact_state();
+        for (index, decoded) in decoded.iter().enumerate() {
             if decoded.observations.chain.is_floating() {
                 continue;
             }
             let scale = with(&|cause| *cause == Cause::RadialScale(index));
-            let at = decoded.observations.at(state, &offsets);
+            let at = decoded.observations.in_state(&state, index);
             let Some(model) = DeviationModel::linearize(at, index) else { continue };
             let (_, fits) = model.fits_by_size(selected);
             if !is_nominal {

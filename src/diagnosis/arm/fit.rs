@@ -48,15 +48,14 @@ pub(super) fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -
     if fitted.deviations.is_none() {
         return fitted;
     }
-    let State { offsets, streams } = fitted.exact_state();
+    let state = fitted.exact_state();
     let all = fitted.candidates.all();
     let timing = |s: usize| {
         let has_skew = all.contains(&Cause::Skew(s));
-        let at = observations[s].at(&streams[s], &offsets);
-        let found = || timing_beside_link_deviations(at, has_skew);
+        let found = || timing_beside_link_deviations(observations[s].in_state(&state, s), has_skew);
         all.contains(&Cause::Latency(s)).then(found).flatten()
     };
-    let timings: Vec<Option<Timing>> = (0..streams.len()).map(timing).collect();
+    let timings: Vec<Option<Timing>> = (0..state.streams.len()).map(timing).collect();
     let is_hidden = |cause: &Cause| matches!(*cause, Cause::Skew(s) if timings[s].is_some_and(|it| it.is_skewed));
     let candidates = fitted.candidates;
     let unselected =
@@ -67,8 +66,7 @@ pub(super) fn with_timings(fitted: ArmFit, observations: &[&PoseObservations]) -
         false => {
             let mut with_hidden = candidates.retaining(|cause| !hidden.contains(cause));
             with_hidden.always.extend(&hidden);
-            let start = State { offsets, streams };
-            let mut model = select_model(observations, start, &with_hidden);
+            let mut model = select_model(observations, state, &with_hidden);
             model.causes.extend(hidden);
             model.causes.sort_unstable();
             model
@@ -106,8 +104,7 @@ pub(super) fn fit(
     };
     let (mut model, mut candidates) = fit_with(false);
     let follows_in_other_frames = |s: usize| {
-        let State { offsets, streams } = &model.state;
-        is_calibratable(constant_frame_residual(observations[s].at(&streams[s], offsets)))
+        is_calibratable(constant_frame_residual(observations[s].in_state(&model.state, s)))
     };
     let is_open = with_offsets && !explains_all(&model);
     if is_open && (0..observations.len()).any(follows_in_other_frames) {
@@ -144,7 +141,7 @@ pub(super) fn fit(
     dropped.retain(|cause| !is_retained(cause));
     let dropped = parameter_count(&dropped, &model.state);
     let is_of_calibrated = |s: usize| {
-        let selected = observations[s].at(&model.state.streams[s], &model.state.offsets);
+        let selected = observations[s].in_state(&model.state, s);
         is_nominal(observations[s].at(&plain[s], &offsets), selected, dropped)
     };
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
@@ -191,17 +188,15 @@ fn prefer_zeros(
     for frame in frames {
         let others: Vec<Cause> =
             model.causes.iter().copied().filter(|cause| *cause != frame).collect();
-        let mut without =
-            State { offsets: large_offsets.to_vec(), ..model.exact_state(&candidates) };
-        frame.remove_from(&mut without);
+        let mut without = model.exact_state(&candidates).without(&[frame]);
+        without.offsets = large_offsets.to_vec();
         without.streams.iter_mut().for_each(|stream| stream.radial_scale = 0.0);
         let zeros = candidates.optional.iter().copied().filter(|cause| {
             matches!(cause, Cause::Zero(joint) if large_offsets[*joint] == 0.0)
                 && !others.contains(cause)
         });
         if let Some(zero) = zero_instead_of_frame(observations, &without, frame, &others, zeros) {
-            let mut start = model.state.clone();
-            frame.remove_from(&mut start);
+            let start = model.state.clone().without(&[frame]);
             let is_retained = |cause: &Cause| {
                 others.contains(cause) || *cause == zero || matches!(cause, Cause::Skew(_))
             };
@@ -233,14 +228,9 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     if imitable.is_empty() {
         return fitted;
     }
-    let without_causes = |causes: &[Cause]| {
-        let mut state = fitted.exact_state();
-        causes.iter().for_each(|cause| cause.remove_from(&mut state));
-        state
-    };
-    let State { offsets, streams } = without_causes(&imitable);
+    let without = fitted.exact_state().without(&imitable);
     let significant =
-        causes_beyond_link_deviations(observations[s].at(&streams[s], &offsets), s, &imitable);
+        causes_beyond_link_deviations(observations[s].in_state(&without, s), s, &imitable);
     let (_, imitated): (Vec<Cause>, Vec<Cause>) =
         imitable.into_iter().partition(|cause| significant.contains(cause));
     if imitated.is_empty() {
@@ -251,8 +241,8 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
             || (model.causes.contains(cause) && !imitated.contains(cause))
     };
     let candidates = candidates.retaining(is_retained);
-    let start = without_causes(&imitated);
-    let nominal = estimate_link_deviations(observations[s].at(&start.streams[s], &start.offsets));
+    let start = fitted.exact_state().without(&imitated);
+    let nominal = estimate_link_deviations(observations[s].in_state(&start, s));
     let model = select_model(observations, start, &candidates);
     match is_within_calibration(&model) {
         true => ArmFit { model, candidates, deviations: nominal, timings: Vec::new() },

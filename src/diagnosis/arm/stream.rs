@@ -10,7 +10,7 @@ use crate::frames::with_links::frames_with_links;
 use crate::latency::correlation::median_period_s;
 use crate::latency::delay_jitter::{DelayJitter, estimate_delay_jitter};
 use crate::latency::profile::latency_profile;
-use crate::model::measurement::{State, StreamAt, StreamState, twist_of};
+use crate::model::measurement::{StreamAt, StreamState, twist_of};
 use crate::model::observability::Observability;
 use crate::priors::MARKER_PRIOR_M;
 use crate::residuals::excess::excess_residual;
@@ -109,7 +109,7 @@ impl StreamFit<'_> {
     pub fn diagnose(&self) -> PoseDiagnosis {
         let Self { stream, position_encoding, decoded, fitted, index, .. } = *self;
         let ArmFit { model, deviations, .. } = fitted;
-        let StreamAt { state, offsets, .. } = self.at();
+        let state = self.at().state;
         let is_chosen = |cause: Cause| model.causes.contains(&cause);
         let scale = Cause::RadialScale(index);
         let aligned = align(self);
@@ -118,7 +118,7 @@ impl StreamFit<'_> {
             Ok(_) => self.latency_profile(&aligned),
             Err(why) => (Err(why.clone()), None),
         };
-        let residual = excess_residual(&aligned, &decoded.observations, state, offsets);
+        let residual = excess_residual(&aligned, self.at());
         let mut encoding = decoded.encoding.clone();
         if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
             // Latency, offsets and frames are now corrected.
@@ -170,8 +170,7 @@ impl StreamFit<'_> {
     }
 
     pub fn at(&self) -> StreamAt<'_> {
-        let State { streams, offsets } = &self.fitted.model.state;
-        self.decoded.observations.at(&streams[self.index], offsets)
+        self.decoded.observations.in_state(&self.fitted.model.state, self.index)
     }
 
     /// Detected unit, if it differs from the assumed one.

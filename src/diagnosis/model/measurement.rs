@@ -367,6 +367,11 @@ impl PoseObservations<'_> {
         StreamAt { observations: self, state, offsets }
     }
 
+    /// The same in a state of all streams, of which this is stream `s`.
+    pub fn in_state<'a>(&'a self, state: &'a State, s: usize) -> StreamAt<'a> {
+        self.at(&state.streams[s], &state.offsets)
+    }
+
     /// Number of samples, out of about `most`, while a joint moves.
     pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);

@@ -4,7 +4,7 @@
 //! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
 
 use crate::model::jacobian::pose_changes;
-use crate::model::measurement::{PoseObservations, StreamState};
+use crate::model::measurement::StreamAt;
 use crate::samples::sampling::check_sample_count;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal};
@@ -25,17 +25,15 @@ const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
 /// Below this the correlation is chance, for 95 % of chance correlations even with few blocks.
 const CHANCE_STD_ERRORS: f64 = 2.0;
 
-/// Residual of `aligned` beyond the noise. `stream` and `offsets` are estimated on `observations`.
+/// Residual of `aligned` beyond the noise, in the estimated state of the stream.
 pub(crate) fn excess_residual(
     aligned: &AlignedSamples,
-    observations: &PoseObservations,
-    stream: &StreamState,
-    offsets: &[f64],
+    stream: StreamAt,
 ) -> EstimateResult<StreamResidual> {
     check_sample_count(aligned.t_s.len(), 8)?;
-    let [residual_m, residual_rad] = aligned.residuals(stream.tool.translation.vector);
+    let [residual_m, residual_rad] = aligned.residuals(stream.state.tool.translation.vector);
     let [before_m, before_rad] = pose_changes(&aligned.fk, &aligned.logged);
-    let [common_m, common_rad] = fold_correlation(observations, stream, offsets);
+    let [common_m, common_rad] = fold_correlation(stream);
     Ok(StreamResidual {
         excess_m: excess(&residual_m, &common_m),
         excess_rad: excess(&residual_rad, &common_rad),
@@ -87,15 +85,10 @@ pub(crate) fn mean_of(values: &[f64]) -> Measured {
 
 /// Correlation of each fold's residual with the prediction from the other folds, −1 to 1, for position and
 /// rotation.
-fn fold_correlation(
-    observations: &PoseObservations,
-    stream: &StreamState,
-    offsets: &[f64],
-) -> [Measured; 2] {
-    let rows: Vec<usize> = observations.rows(MAX_SAMPLES).collect();
-    let stream_at = observations.at(stream, offsets);
+fn fold_correlation(stream: StreamAt) -> [Measured; 2] {
+    let rows: Vec<usize> = stream.observations.rows(MAX_SAMPLES).collect();
     let linearized =
-        |rows: &[usize]| link_frames(stream_at, rows.iter().copied(), FreeAlongside::Nothing);
+        |rows: &[usize]| link_frames(stream, rows.iter().copied(), FreeAlongside::Nothing);
     let folds: Vec<Linear> =
         rows.chunks(rows.len().div_ceil(FOLDS).max(1)).map(linearized).collect();
     let normals: Vec<Normal> =

@@ -59,7 +59,7 @@ pub(crate) fn zero_instead_of_frame(
     zeros: impl Iterator<Item = Cause>,
 ) -> Option<Cause> {
     let of_stream = |(s, observations): (usize, &&PoseObservations)| {
-        DeviationModel::linearize(observations.at(&state.streams[s], &state.offsets), s)
+        DeviationModel::linearize(observations.in_state(state, s), s)
     };
     let models: Vec<DeviationModel> =
         observations.iter().enumerate().map(of_stream).collect::<Option<_>>()?;

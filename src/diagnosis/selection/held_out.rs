@@ -1,7 +1,7 @@
 //! How well a model of one half of the run predicts the other half, with and without each cause.
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
-use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::model::measurement::{PoseObservations, State};
 use crate::priors::LEVER_M;
 use crate::samples::sampling::rows_of_half;
 use crate::solver::linear::{Linear, Normal};
@@ -89,8 +89,7 @@ impl<'a> HeldOut<'a> {
         }
         let others: Vec<Cause> =
             self.chosen.iter().copied().filter(|other| *other != cause).collect();
-        let mut state = self.model.state.clone();
-        cause.remove_from(&mut state);
+        let state = self.model.state.clone().without(&[cause]);
         // Other causes may absorb a small one; a large one is beyond the linearisation.
         let both = [self.squares(&others), self.squares_at(&state)];
         let combined = |squares: &[Squares]| -> f64 {
@@ -135,12 +134,11 @@ impl<'a> HeldOut<'a> {
 
     /// At a state, on both halves.
     fn squares_at(&self, state: &State) -> Vec<Squares> {
-        let streams = self.observations.iter().zip(&state.streams);
-        let of_stream = |(observations, stream): (&&PoseObservations, &StreamState)| {
-            let linear = observations.at(stream, &state.offsets).linearize(2 * MAX_SAMPLES);
+        let of_stream = |(s, observations): (usize, &&PoseObservations)| {
+            let linear = observations.in_state(state, s).linearize(2 * MAX_SAMPLES);
             [0, 1].map(|kind| mean_square(&linear.residual[kind]))
         };
-        streams.map(of_stream).collect()
+        self.observations.iter().enumerate().map(of_stream).collect()
     }
 }
 

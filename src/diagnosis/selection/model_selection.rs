@@ -59,7 +59,7 @@ impl Cause {
         start..start + count
     }
 
-    pub fn remove_from(self, state: &mut State) {
+    fn remove_from(self, state: &mut State) {
         match self {
             Cause::Zero(joint) | Cause::JointScale(joint) => state.offsets[joint] = 0.0,
             Cause::Latency(s) => state.streams[s].latency_s = 0.0,
@@ -68,6 +68,13 @@ impl Cause {
             Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
             Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
         }
+    }
+}
+
+impl State {
+    pub fn without(mut self, causes: &[Cause]) -> Self {
+        causes.iter().for_each(|cause| cause.remove_from(&mut self));
+        self
     }
 }
 
@@ -112,7 +119,7 @@ impl Linearized {
         candidates: &[Cause],
     ) -> Self {
         let of_stream = |(s, observations): (usize, &&PoseObservations)| {
-            let linear = observations.at(&state.streams[s], &state.offsets).linearize(max_samples);
+            let linear = observations.in_state(state, s).linearize(max_samples);
             let (joints, start) = (state.offsets.len(), state.index(s, 0));
             let parameters = (0..joints).chain(start..start + STREAM_WIDTH).collect();
             StreamEquations { weights: linear.first_weights(), linear, parameters }
@@ -432,11 +439,10 @@ pub(crate) fn or_without_causes(
     if model.causes.is_empty() {
         return model;
     }
-    let mut start = model.state.clone();
-    model.causes.iter().for_each(|cause| cause.remove_from(&mut start));
+    let start = model.state.clone().without(&model.causes);
     let is_near = |(s, with): (usize, &Linear)| {
-        let (stream, offsets) = (&start.streams[s], &start.offsets);
-        let without = observations[s].at(stream, offsets).linearize(SAMPLES_OF_FIRST_COMPARISON);
+        let at = observations[s].in_state(&start, s);
+        let without = at.linearize(SAMPLES_OF_FIRST_COMPARISON);
         rms(&without.residual[0]) < MAX_RATIO * rms(&with.residual[0])
     };
     if !model.linear.streams().enumerate().all(is_near) {
