@@ -120,20 +120,17 @@ impl CalibrationSystem<'_> {
         fold: usize,
         group: Option<usize>,
     ) -> Vec<LinearizedStream> {
-        let of = |(stream, LinearizedStream { linear, weights }): (
-            &CalibrationStream,
-            &LinearizedStream,
-        )| {
-            let stretch = linear.len().div_ceil(BLOCKS).max(1);
+        let part = |(stream, it): (&CalibrationStream, &LinearizedStream)| {
+            let stretch = it.linear.len().div_ceil(BLOCKS).max(1);
             let is_held_out = |sample: &usize| match group {
                 Some(_) => stream.held_out_group == group,
                 None => (sample / stretch) % FOLDS == fold,
             };
-            let samples: Vec<usize> = (0..linear.len()).filter(is_held_out).collect();
-            let weights = weights.iter().map(|weight| weight.subset(&samples)).collect();
-            LinearizedStream { linear: linear.subset(&samples), weights }
+            let samples: Vec<usize> = (0..it.linear.len()).filter(is_held_out).collect();
+            let weights = it.weights.iter().map(|weight| weight.subset(&samples)).collect();
+            LinearizedStream { linear: it.linear.subset(&samples), weights }
         };
-        self.streams.iter().zip(linearized).map(of).collect()
+        self.streams.iter().zip(linearized).map(part).collect()
     }
 
     /// Equations of all samples and distances.

@@ -52,14 +52,13 @@ impl TipSensitivity {
 
     /// Uncertainty for a covariance of the shared parameters.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> FkUncertainty {
-        let spread = &self.effects * covariance;
-        let (mut m, mut rad) = (0.0, 0.0);
-        for row in 0..self.effects.nrows() {
-            let variance = spread.row(row).dot(&self.effects.row(row)).max(0.0);
-            *(if row % 6 < 3 { &mut m } else { &mut rad }) += variance;
-        }
-        let postures = (self.effects.nrows() / 6).max(1) as f64;
-        FkUncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
+        let variances = (&self.effects * covariance).component_mul(&self.effects).column_sum();
+        let rms = |first: usize| {
+            let own = variances.as_slice().chunks(6).flat_map(|of_pose| &of_pose[first..first + 3]);
+            let postures = (variances.len() / 6).max(1) as f64;
+            (own.map(|variance| variance.max(0.0)).sum::<f64>() / postures).sqrt()
+        };
+        FkUncertainty { m: rms(0), rad: rms(3) }
     }
 
     /// Tip displacement by a change, rms m.
