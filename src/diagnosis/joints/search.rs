@@ -481,28 +481,22 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
     let dof = view.chain.dof();
     let none = JointProposal::new(view.as_logged(), 0.0);
     let can_move = moving_joints(view, &none.map);
-    let mut firsts: Vec<(usize, JointProposal)> = Vec::new();
-    for joint in 0..dof {
-        let mut add = |factor: f64, zero: Option<f64>, price: f64| {
-            firsts.push((joint, none.with_joint(joint, factor, zero, price)));
-        };
+    // Factor, zero, and price.
+    let first_faults = |joint: usize| -> Vec<(f64, Option<f64>, f64)> {
         if view.chain.slides(joint) {
-            add(1e-3, None, 1.0);
-            add(-1.0, None, 1.0);
-            continue;
+            return vec![(1e-3, None, 1.0), (-1.0, None, 1.0)];
         }
-        add(1f64.to_radians(), None, 1.0);
-        if can_move.contains(&joint) {
-            add(-1.0, None, 1.0);
-        }
-        for step in 1..ZERO_GRID_POINTS {
-            let zero = Some(TAU * f64::from(step) / f64::from(ZERO_GRID_POINTS));
-            add(1.0, zero, 1.0);
-            if can_move.contains(&joint) {
-                add(-1.0, zero, 2.0);
-            }
-        }
-    }
+        let zeros = (1..ZERO_GRID_POINTS)
+            .map(|step| Some(TAU * f64::from(step) / f64::from(ZERO_GRID_POINTS)));
+        let mut faults = vec![(1f64.to_radians(), None, 1.0), (-1.0, None, 1.0)];
+        faults.extend(zeros.flat_map(|zero| [(1.0, zero, 1.0), (-1.0, zero, 2.0)]));
+        faults.retain(|(factor, ..)| *factor > 0.0 || can_move.contains(&joint));
+        faults
+    };
+    let firsts: Vec<(usize, JointProposal)> = (0..dof)
+        .flat_map(|joint| first_faults(joint).into_iter().map(move |fault| (joint, fault)))
+        .map(|(joint, (factor, zero, price))| (joint, none.with_joint(joint, factor, zero, price)))
+        .collect();
     let proposals: Vec<JointProposal> = firsts
         .into_par_iter()
         .flat_map_iter(|(first, base)| {
