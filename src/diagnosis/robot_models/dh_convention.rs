@@ -1,6 +1,6 @@
 //! Checks the declared convention of a DH table by the residuals under each convention.
 
-use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
+use crate::selection::nominal_model::is_calibratable;
 use crate::{ArmDiagnosis, PoseDiagnosis};
 
 /// Between the two conventions.
@@ -56,19 +56,17 @@ impl DhResidual {
     /// Excess residual of each stream in a diagnosis.
     pub fn from_diagnosis(diagnosis: &ArmDiagnosis) -> Vec<Self> {
         let is_read = diagnosis.joints.encoding.is_ok();
-        diagnosis.streams.iter().map(|stream| Self::from_stream(stream, is_read)).collect()
-    }
-
-    fn from_stream(stream: &PoseDiagnosis, is_read: bool) -> Self {
-        match stream.encoding.as_ref().and(stream.residual.as_ref()) {
-            Ok(left) if is_read => Self { m: left.excess_m.value, rad: left.excess_rad.value },
-            _ => Self { m: f64::INFINITY, rad: f64::INFINITY },
-        }
+        let residual =
+            |stream: &PoseDiagnosis| match stream.encoding.as_ref().and(stream.residual.as_ref()) {
+                Ok(left) if is_read => Self { m: left.excess_m.value, rad: left.excess_rad.value },
+                _ => Self { m: f64::INFINITY, rad: f64::INFINITY },
+            };
+        diagnosis.streams.iter().map(residual).collect()
     }
 
     /// Whether the residual is normal for a calibrated arm with a nominal model.
     pub fn is_explained(&self) -> bool {
-        self.m <= MAX_TIP_CHANGE_M && self.rad <= MAX_TIP_CHANGE_RAD
+        is_calibratable([self.m, self.rad])
     }
 }
 
