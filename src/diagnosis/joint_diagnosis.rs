@@ -65,20 +65,22 @@ impl JointDiagnosis {
 
     /// Joint states in one encoding throughout the run.
     pub fn in_one_encoding<'a>(&self, joints: &'a JointTrack) -> Cow<'a, JointTrack> {
-        let mut joints = Cow::Borrowed(joints);
-        if self.partial_encoding.is_some() {
-            self.patches.iter().for_each(|patch| patch.apply(joints.to_mut()));
+        match self.partial_encoding {
+            Some(_) => self.patched(joints),
+            None => Cow::Borrowed(joints),
         }
-        joints
+    }
+
+    fn patched<'a>(&self, joints: &'a JointTrack) -> Cow<'a, JointTrack> {
+        let mut patched = Cow::Borrowed(joints);
+        self.patches.iter().for_each(|patch| patch.apply(patched.to_mut()));
+        patched
     }
 
     /// Corrects change points, names and units, compliance, and the selected model's joint offsets.
     /// `prismatic` flags columns of `joints`.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
-        let mut unchanged = Cow::Borrowed(joints);
-        for patch in &self.patches {
-            patch.apply(unchanged.to_mut());
-        }
+        let unchanged = self.patched(joints);
         let mut track = match &self.encoding {
             Ok(encoding) => correct_joints(&unchanged, encoding, prismatic),
             Err(_) => unchanged.into_owned(),
