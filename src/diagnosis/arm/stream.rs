@@ -156,11 +156,9 @@ impl StreamFit<'_> {
             // Changes follow.
             ..no_diagnosis(NotObservable::NotExcited)
         };
-        if !found.is_nominal {
-            return found.without_overfitted_causes();
-        }
         let free = [Cause::Reference(index), Cause::Tool(index)].map(|cause| fitted.is_free(cause));
-        let [reference, tool] = frames_with_links(&found, stream, free).unwrap_or_default();
+        let with_links = deviations.as_ref().and_then(|_| frames_with_links(&found, stream, free));
+        let [reference, tool] = with_links.unwrap_or_default();
         PoseDiagnosis {
             reference: reference.map_or(found.reference, Ok),
             tool: tool.map_or(found.tool, Ok),
