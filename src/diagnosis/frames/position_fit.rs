@@ -7,7 +7,7 @@ use ground::geometry::{
     Pose, Rotation, Vec3, mean_vector, pose, rotation_by_wahba, rotation_from_rotvec,
 };
 use ground::stats::mean;
-use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
@@ -89,12 +89,13 @@ impl PositionFit<'_> {
         let start = (rotation_by_wahba(&correlation), Vec3::zeros());
         let limits = Limits { steps, min_gain: MIN_GAIN };
         let (_, (rotation, tool)) = minimize(&self, start, limits)?;
-        Some((pose(self.sums(&rotation, &tool).origin.into(), rotation), tool))
+        let (_, origin) = self.equations(&rotation, &tool);
+        Some((pose(origin.into(), rotation), tool))
     }
 
-    /// Residuals `xyz − rotation·(fk + R·tool) − origin` with their derivatives by a small turn of `rotation` and by
-    /// `tool`.
-    fn sums(self, rotation: &Rotation, tool: &Vec3) -> Sums {
+    /// Equations of a small turn of `rotation` and of `tool`, for residuals `xyz − rotation·(fk + R·tool) − origin`, and the
+    /// best origin.
+    fn equations(self, rotation: &Rotation, tool: &Vec3) -> (Normal, Vec3) {
         let reference = rotation.to_rotation_matrix();
         let (mut products, mut weighted) = (Matrix6::zeros(), Vector6::zeros());
         let (mut columns, mut sum, mut squares) = (Matrix3x6::zeros(), Vec3::zeros(), 0.0);
@@ -113,22 +114,16 @@ impl PositionFit<'_> {
         }
         let n = self.xyz.len().max(1) as f64;
         let origin = sum / n;
-        Sums {
-            products: products - columns.transpose() * columns / n,
-            weighted: weighted - columns.transpose() * origin,
-            origin,
-            squares: squares - n * origin.norm_squared(),
-        }
+        let matrix = products - columns.transpose() * columns / n;
+        let right = weighted - columns.transpose() * origin;
+        let normal = Normal {
+            matrix: DMatrix::from_column_slice(6, 6, matrix.as_slice()),
+            right: DVector::from_column_slice(right.as_slice()),
+            cost: squares - n * origin.norm_squared(),
+            independent: 0.0,
+        };
+        (normal, origin)
     }
-}
-
-/// Least squares at the best origin.
-struct Sums {
-    /// `AᵀA` and `Aᵀr` about the mean.
-    products: Matrix6<f64>,
-    weighted: Vector6<f64>,
-    origin: Vec3,
-    squares: f64,
 }
 
 impl LeastSquares for PositionFit<'_> {
@@ -136,13 +131,13 @@ impl LeastSquares for PositionFit<'_> {
 
     /// The cost is the sum of squares times `1 + |tool|² / (3n·MARKER_PRIOR_M²)`: a prior in units of the residual.
     fn linearize(&self, (rotation, tool): &Self::State) -> Option<Normal> {
-        let Sums { products, weighted, squares, .. } = self.sums(rotation, tool);
+        let (mut normal, _) = self.equations(rotation, tool);
+        let squares = normal.cost;
         let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * MARKER_PRIOR_M.powi(2));
         let factor = 1.0 + prior * tool.norm_squared();
-        let mut normal = Normal::zeros(6);
-        normal.matrix.copy_from(&(products * factor));
-        normal.right.copy_from(&(weighted * factor));
-        normal.cost = squares * factor;
+        normal.matrix *= factor;
+        normal.right *= factor;
+        normal.cost *= factor;
         for axis in 0..3 {
             normal.matrix[(3 + axis, 3 + axis)] += squares * prior;
             normal.right[3 + axis] -= squares * prior * tool[axis];
