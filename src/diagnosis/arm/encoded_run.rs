@@ -20,7 +20,6 @@ use ground::stream::JointTrack;
 /// Joint states in an encoding, and the encodings of the streams' positions that they show.
 pub(super) struct EncodedRun<'a> {
     pub joints: &'a JointTrack,
-    encoding: JointEncoding,
     pub corrected: CorrectedJoints,
     pub streams: &'a [PoseStream<'a>],
     pub position_encodings: Vec<PositionEncodingEstimate>,
@@ -41,13 +40,13 @@ impl<'a> EncodedRun<'a> {
                 is_prismatic[column] = *kind == JointKind::Prismatic;
             }
         }
-        let corrected = CorrectedJoints::new(joints, &encoding, is_prismatic);
+        let corrected = CorrectedJoints::new(joints, encoding, is_prismatic);
         let corrected = if are_derived { corrected.for_derived() } else { corrected };
         let track = corrected.approximate_track();
         let estimate =
             |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, max_lag_s);
         let position_encodings = streams.iter().map(estimate).collect();
-        Self { joints, encoding, corrected, streams, position_encodings }
+        Self { joints, corrected, streams, position_encodings }
     }
 
     pub fn diagnose(&self) -> ArmDiagnosis {
@@ -66,7 +65,7 @@ impl<'a> EncodedRun<'a> {
         let observations: Vec<&PoseObservations> =
             usable.iter().map(|decoded| &decoded.observations).collect();
         let has_zeros = !corrected.is_derived && !are_floating(streams);
-        let encoding = Ok(self.encoding.clone());
+        let encoding = Ok(corrected.encoding.clone());
         let mut joints = JointDiagnosis::without_changes(encoding, Vec::new(), Vec::new());
         let Some(fitted) = fit(&usable, &observations, corrected) else {
             let why: Vec<NotObservable> = decoded.into_iter().filter_map(Result::err).collect();
@@ -85,7 +84,7 @@ impl<'a> EncodedRun<'a> {
         if has_zeros {
             joints.offsets = joint_offsets(fitted, &usable, corrected, held_out, beside_links);
             let (scales, couplings) = joint_gains(fitted, corrected);
-            joints.encoding = Ok(self.encoding.refined(&scales, couplings));
+            joints.encoding = Ok(corrected.encoding.refined(&scales, couplings));
             joints.scales = scales;
         }
         let (mut diagnosed, mut index) = (Vec::new(), 0);

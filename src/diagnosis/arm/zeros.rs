@@ -114,12 +114,12 @@ pub(super) fn joint_gains(
         let Ok(gain) = fitted.measured(&model.causes, cause) else { continue };
         let is_own = |own: &&JointCoupling| (own.column, own.by) == (column, by);
         if column == by {
-            let encoded = corrected.factors[column];
+            let encoded = corrected.encoding.factor(column);
             let factor = Measured { value: 1.0 + gain.value, ..gain }.scaled(encoded);
             let has_zero = fitted.is_free(Cause::Zero(column));
             let offset = if has_zero { model.state.offsets[column] } else { 0.0 };
             scales.push(JointScale { column, factor, offset });
-        } else if let Some(encoded) = corrected.couplings.iter().find(is_own) {
+        } else if let Some(encoded) = corrected.encoding.couplings.iter().find(is_own) {
             let factor = Measured { value: encoded.factor.value + gain.value, ..gain };
             couplings.push(JointCoupling { column, by, factor });
         }

@@ -6,7 +6,9 @@ use ground::stream::JointTrack;
 
 /// Decoded joint states.
 pub(crate) struct CorrectedJoints {
-    /// Track with corrected names and units.
+    /// Encoding of the recorded joint states.
+    pub encoding: JointEncoding,
+    /// Track with corrected names, units and couplings.
     pub track: JointTrack,
     /// Same with large zeros added, if any.
     approximate_track: Option<JointTrack>,
@@ -14,10 +16,6 @@ pub(crate) struct CorrectedJoints {
     pub offsets: Vec<f64>,
     /// Gains to estimate: joint and driving joint (itself if scaled).
     pub gains: Vec<(usize, usize)>,
-    /// Approximate, already applied to `track`.
-    pub couplings: Vec<JointCoupling>,
-    /// Approximate scale per joint.
-    pub factors: Vec<f64>,
     /// Maximum speed at rest per joint.
     pub rest_speeds: Vec<f64>,
     /// Per joint.
@@ -27,16 +25,14 @@ pub(crate) struct CorrectedJoints {
 }
 
 impl CorrectedJoints {
-    pub fn new(joints: &JointTrack, encoding: &JointEncoding, is_prismatic: Vec<bool>) -> Self {
-        let track = correct_joints(joints, encoding, &is_prismatic);
-        let JointEncoding { unit_errors, couplings, zeros, .. } = encoding;
+    pub fn new(joints: &JointTrack, encoding: JointEncoding, is_prismatic: Vec<bool>) -> Self {
+        let track = correct_joints(joints, &encoding, &is_prismatic);
+        let JointEncoding { unit_errors, couplings, zeros, .. } = &encoding;
         let is_off = zeros.iter().any(|zero| *zero != 0.0);
         let scaled = unit_errors.iter().filter(|error| error.unit == JointUnit::Scaled);
         let coupled = couplings.iter().map(|coupling| (coupling.column, coupling.by));
         let gains: Vec<(usize, usize)> =
             scaled.map(|error| (error.column, error.column)).chain(coupled).collect();
-        let mut factors = vec![1.0; joints.dof];
-        unit_errors.iter().for_each(|error| factors[error.column] = error.factor);
         let mut offsets = zeros.clone();
         offsets.resize(joints.dof + gains.len(), 0.0);
         Self {
@@ -46,11 +42,10 @@ impl CorrectedJoints {
                 moved
             }),
             rest_speeds: rest_speeds(&track),
-            couplings: couplings.clone(),
+            encoding,
             track,
             offsets,
             gains,
-            factors,
             is_prismatic,
             is_derived: false,
         }
@@ -65,7 +60,7 @@ impl CorrectedJoints {
     /// Whether the values are neither angles nor lengths, with a zero in their encoding.
     pub fn has_encoded_zero(&self, joint: usize) -> bool {
         self.gains.contains(&(joint, joint))
-            && is_coded(self.factors[joint])
+            && is_coded(self.encoding.factor(joint))
             && self.offsets[joint] != 0.0
     }
 

@@ -54,6 +54,12 @@ impl JointEncoding {
         Self { unit_errors: vec![unit_error], residual: Some(residual), ..Self::default() }
     }
 
+    /// Approximate scale of a joint with an individual unit or scale.
+    pub(crate) fn factor(&self, column: usize) -> f64 {
+        let own = self.unit_errors.iter().find(|error| error.column == column);
+        own.map_or(1.0, |error| error.factor)
+    }
+
     /// With estimated scales, and with these couplings.
     pub(crate) fn refined(&self, scales: &[JointScale], couplings: Vec<JointCoupling>) -> Self {
         let mut refined = Self { couplings, ..self.clone() };
