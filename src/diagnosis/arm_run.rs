@@ -1,6 +1,5 @@
 //! Input of a diagnosis of an arm's run.
 
-use crate::arm::{diagnose_arm, diagnose_arm_encoded};
 use crate::{ArmDiagnosis, JointEncoding, PoseStream};
 use ground::stream::JointTrack;
 
@@ -22,12 +21,7 @@ impl ArmRun<'_> {
             && self.streams.iter().any(|stream| stream.columns.contains(&column))
     }
 
-    /// With constant causes.
-    pub fn diagnose(&self) -> ArmDiagnosis {
-        diagnose_arm(self.joints, self.streams, self.max_lag_s)
-    }
-
-    /// The same, after changes that do not affect whether the joint states are as logged.
+    /// With constant causes, after changes that do not affect whether the joint states are as logged.
     pub fn diagnose_again(&self, before: &ArmDiagnosis) -> ArmDiagnosis {
         match before.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
             true => self.diagnose_as_logged(),
@@ -38,10 +32,5 @@ impl ArmRun<'_> {
     /// The same, without another encoding of the joint states.
     pub fn diagnose_as_logged(&self) -> ArmDiagnosis {
         self.diagnose_encoded(JointEncoding::default())
-    }
-
-    /// The same, with the joint states in this encoding.
-    pub fn diagnose_encoded(&self, encoding: JointEncoding) -> ArmDiagnosis {
-        diagnose_arm_encoded(self.joints, self.streams, self.max_lag_s, encoding)
     }
 }

@@ -5,6 +5,7 @@ use super::beside_links::BesideLinks;
 use super::fit::{fit, with_timings};
 use super::stream::{StreamFit, no_diagnosis};
 use super::zeros::{joint_gains, joint_offsets, unobservable_offsets};
+use crate::arm_run::ArmRun;
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
 use crate::encodings::position::PositionEncodingEstimate;
 use crate::joints::CorrectedJoints;
@@ -14,39 +15,24 @@ use crate::{
     ArmDiagnosis, EstimateResult, JointDiagnosis, JointEncoding, NotObservable, PoseDiagnosis,
     PoseStream,
 };
-use ground::robot::JointKind;
-use ground::stream::JointTrack;
 
 /// Joint states in an encoding, and the encodings of the streams' positions that they show.
 pub(super) struct EncodedRun<'a> {
-    pub joints: &'a JointTrack,
+    pub run: ArmRun<'a>,
     pub corrected: CorrectedJoints,
-    pub streams: &'a [PoseStream<'a>],
     pub position_encodings: Vec<PositionEncodingEstimate>,
 }
 
 impl<'a> EncodedRun<'a> {
     /// `are_derived`: whether the streams are computed from the joint states.
-    pub fn new(
-        joints: &'a JointTrack,
-        streams: &'a [PoseStream<'a>],
-        max_lag_s: f64,
-        encoding: JointEncoding,
-        are_derived: bool,
-    ) -> Self {
-        let mut is_prismatic = vec![false; joints.dof];
-        for stream in streams {
-            for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
-                is_prismatic[column] = *kind == JointKind::Prismatic;
-            }
-        }
-        let corrected = CorrectedJoints::new(joints, encoding, is_prismatic);
+    pub fn new(run: ArmRun<'a>, encoding: JointEncoding, are_derived: bool) -> Self {
+        let corrected = CorrectedJoints::new(run.joints, encoding, run.is_prismatic.to_vec());
         let corrected = if are_derived { corrected.for_derived() } else { corrected };
         let track = corrected.approximate_track();
         let estimate =
-            |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, max_lag_s);
-        let position_encodings = streams.iter().map(estimate).collect();
-        Self { joints, corrected, streams, position_encodings }
+            |stream: &PoseStream| PositionEncodingEstimate::estimate(track, stream, run.max_lag_s);
+        let position_encodings = run.streams.iter().map(estimate).collect();
+        Self { run, corrected, position_encodings }
     }
 
     pub fn diagnose(&self) -> ArmDiagnosis {
@@ -55,7 +41,7 @@ impl<'a> EncodedRun<'a> {
 
     /// The same with other encodings of the positions.
     fn diagnose_with(&self, position_encodings: &[PositionEncodingEstimate]) -> ArmDiagnosis {
-        let Self { joints: recorded, corrected, streams, .. } = self;
+        let Self { run: ArmRun { joints: recorded, streams, .. }, corrected, .. } = self;
         let both = || streams.iter().zip(position_encodings);
         let decode = |(stream, position_encoding): (&PoseStream<'a>, _)| {
             decode_stream(corrected, stream, position_encoding)

@@ -2,6 +2,7 @@
 
 use super::MIN_IMPROVEMENT;
 use super::encoded_run::EncodedRun;
+use crate::arm_run::ArmRun;
 use crate::encodings::decoded_stream::decode_stream;
 use crate::encodings::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach};
@@ -10,7 +11,6 @@ use crate::latency::correlation::stream_lag_s;
 use crate::model::measurement::FLOOR_M;
 use crate::selection::evidence::log_bayes_factor;
 use crate::{ArmDiagnosis, EstimateResult, JointEncoding, NotObservable, PoseEncoding, PoseStream};
-use ground::stream::JointTrack;
 use std::cell::OnceCell;
 
 /// Residual as logged over that of degrees indicated by the range of values.
@@ -18,7 +18,6 @@ const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
 
 pub(super) struct EncodingSearch<'a> {
     logged: EncodedRun<'a>,
-    max_lag_s: f64,
     /// Unit of each stream's positions, in metres.
     metres: Vec<f64>,
     as_logged: OnceCell<ArmDiagnosis>,
@@ -26,13 +25,12 @@ pub(super) struct EncodingSearch<'a> {
 }
 
 impl<'a> EncodingSearch<'a> {
-    pub fn new(joints: &'a JointTrack, streams: &'a [PoseStream<'a>], max_lag_s: f64) -> Self {
-        let logged = EncodedRun::new(joints, streams, max_lag_s, JointEncoding::default(), false);
+    pub fn new(run: ArmRun<'a>) -> Self {
+        let logged = EncodedRun::new(run, JointEncoding::default(), false);
         let metres = logged.position_encodings.iter().map(PositionEncodingEstimate::metres);
         Self {
             metres: metres.collect(),
             logged,
-            max_lag_s,
             as_logged: OnceCell::new(),
             has_change: OnceCell::new(),
         }
@@ -84,8 +82,7 @@ impl<'a> EncodingSearch<'a> {
     }
 
     fn diagnose_as(&self, encoding: JointEncoding) -> ArmDiagnosis {
-        let EncodedRun { joints, streams, .. } = self.logged;
-        EncodedRun::new(joints, streams, self.max_lag_s, encoding, false).diagnose()
+        EncodedRun::new(self.logged.run, encoding, false).diagnose()
     }
 
     /// Diagnosis as logged, with this result of the search.
@@ -101,7 +98,7 @@ impl<'a> EncodingSearch<'a> {
 
     /// A stream that agrees with the joint states as logged must still do so.
     fn spoils_agreement(&self, result: &ArmDiagnosis) -> bool {
-        self.logged.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
+        self.logged.run.streams.len() > 1 && !result.preserves_agreement(self.as_logged())
     }
 
     fn has_change(&self) -> bool {
@@ -114,20 +111,21 @@ impl<'a> EncodingSearch<'a> {
 
     /// Comparison with the stream of the most joints and samples.
     fn most_informative(&self, metres: &[f64]) -> Option<JointComparison<'a>> {
-        let streams = self.logged.streams;
+        let streams = self.logged.run.streams;
         let size = |&index: &usize| (streams[index].columns.len(), streams[index].track.t_s.len());
         let index = (0..streams.len()).max_by_key(size)?;
         Some(self.comparison_with(index, metres[index]))
     }
 
     fn comparison_with(&self, index: usize, metres: f64) -> JointComparison<'a> {
-        let EncodedRun { joints, streams, .. } = self.logged;
-        JointComparison { joints, stream: &streams[index], metres, max_lag_s: self.max_lag_s }
+        let ArmRun { joints, streams, max_lag_s, .. } = self.logged.run;
+        JointComparison { joints, stream: &streams[index], metres, max_lag_s }
     }
 
     /// Encoding by the motion. Sets the unit of each stream's positions.
     fn estimate(&mut self) -> EstimateResult<JointEncoding> {
-        let EncodedRun { corrected, streams, position_encodings, .. } = &self.logged;
+        let EncodedRun { run: ArmRun { streams, .. }, corrected, position_encodings } =
+            &self.logged;
         let is_confirmed = |(stream, encoding): (&PoseStream, &PositionEncodingEstimate)| {
             encoding.needs_correction()
                 && decode_stream(corrected, stream, encoding).is_ok_and(|it| it.is_confirmed())
@@ -162,7 +160,7 @@ impl<'a> EncodingSearch<'a> {
         if before_m <= FLOOR_M || self.has_change() {
             return None;
         }
-        let streams = self.logged.streams;
+        let streams = self.logged.run.streams;
         let longest = (0..streams.len()).max_by_key(|&index| streams[index].track.t_s.len())?;
         let all = self.comparison_with(longest, self.metres[longest]).likely_encodings();
         let explains = |LikelyEncoding { encoding, by_range }: LikelyEncoding| {
@@ -178,11 +176,11 @@ impl<'a> EncodingSearch<'a> {
     /// Encoding that explains the stream with the largest residual, if it explains far more than `result`.
     fn of_unexplained(&self, result: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let (index, residual) = result.largest_unexplained()?;
-        let joints = self.logged.joints;
-        let (stream, found) = (&self.logged.streams[index], &result.streams[index]);
+        let ArmRun { joints, streams, max_lag_s, .. } = self.logged.run;
+        let (stream, found) = (&streams[index], &result.streams[index]);
         let lag_s = match &found.latency_s {
             Ok(latency) => latency.value,
-            Err(_) => stream_lag_s(joints, stream, self.max_lag_s),
+            Err(_) => stream_lag_s(joints, stream, max_lag_s),
         };
         // Rotations in an unknown convention show whether the last joint is reversed, positions do not.
         let is_unread = match &found.encoding {
@@ -211,7 +209,7 @@ impl<'a> EncodingSearch<'a> {
     /// calibrations.
     fn likelier(&self, result: ArmDiagnosis) -> ArmDiagnosis {
         let is_far = result.joints.encoding.as_ref().is_ok_and(JointEncoding::is_far_from_logged);
-        let is_plausible = is_far && self.as_logged().is_plausible_for(self.logged.streams);
+        let is_plausible = is_far && self.as_logged().is_plausible_for(self.logged.run.streams);
         let otherwise = result.without_negligible_gains();
         let as_logged =
             self.logged.or_standard(self.as_logged().clone()).without_negligible_gains();

@@ -473,6 +473,7 @@ fn with_base_turned(state: &State, observations: &PoseObservations) -> Option<St
 mod tests {
     use super::{Cause, fit, with_timings};
     use crate::arm::encoded_run::EncodedRun;
+    use crate::arm_run::ArmRun;
     use crate::encodings::decoded_stream::decode_stream;
     use crate::test_motion::{arm, deviating_chain, pose_track, tip_stream};
     use crate::test_random::Lcg;
@@ -493,7 +494,9 @@ mod tests {
         let stamps: Vec<f64> = joints.t_s.iter().map(|t_s| t_s * (1.0 + SKEW)).collect();
         let track = pose_track(&stamps, poses);
         let streams = [tip_stream(&track, &chain)];
-        let run = EncodedRun::new(&joints, &streams, 1.0, JointEncoding::default(), false);
+        let (joints, streams) = (&joints, &streams);
+        let run = ArmRun { joints, streams, is_prismatic: &[false; 6], max_lag_s: 1.0 };
+        let run = EncodedRun::new(run, JointEncoding::default(), false);
         let EncodedRun { corrected, position_encodings, .. } = &run;
         let decoded =
             decode_stream(corrected, &streams[0], &position_encodings[0]).expect("a stream");

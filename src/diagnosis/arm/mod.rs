@@ -12,6 +12,7 @@ mod fit;
 mod stream;
 mod zeros;
 
+use crate::arm_run::ArmRun;
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach, metres_by_size};
 use crate::joints::JointComparison;
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_peaks};
@@ -34,21 +35,35 @@ pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
 
 /// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
-    match are_floating(streams) {
-        true => diagnose_arm_encoded(joints, streams, max_lag_s, JointEncoding::default()),
-        false => EncodingSearch::new(joints, streams, max_lag_s).diagnose(),
-    }
+    let is_prismatic = &are_prismatic(joints, streams);
+    ArmRun { joints, streams, is_prismatic, max_lag_s }.diagnose()
 }
 
-/// Diagnoses joint states in this encoding, without looking for another. Scales and couplings are refined.
-pub(super) fn diagnose_arm_encoded(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    max_lag_s: f64,
-    encoding: JointEncoding,
-) -> ArmDiagnosis {
-    let run = EncodedRun::new(joints, streams, max_lag_s, encoding, false);
-    run.or_standard(run.diagnose()).without_negligible_gains()
+/// Whether each joint that a stream depends on is prismatic.
+fn are_prismatic(joints: &JointTrack, streams: &[PoseStream]) -> Vec<bool> {
+    let mut are_prismatic = vec![false; joints.dof];
+    for PoseStream { chain, columns, .. } in streams {
+        for (joint, &column) in columns.iter().enumerate() {
+            are_prismatic[column] = chain.slides(joint);
+        }
+    }
+    are_prismatic
+}
+
+impl ArmRun<'_> {
+    /// With constant causes.
+    pub fn diagnose(&self) -> ArmDiagnosis {
+        match are_floating(self.streams) {
+            true => self.diagnose_as_logged(),
+            false => EncodingSearch::new(*self).diagnose(),
+        }
+    }
+
+    /// The same with the joint states in this encoding. Its scales and couplings are refined.
+    pub fn diagnose_encoded(&self, encoding: JointEncoding) -> ArmDiagnosis {
+        let run = EncodedRun::new(*self, encoding, false);
+        run.or_standard(run.diagnose()).without_negligible_gains()
+    }
 }
 
 /// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference
@@ -61,9 +76,10 @@ pub fn diagnose_derived(
     max_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
+    let is_prismatic = &are_prismatic(joints, streams);
+    let run = ArmRun { joints, streams, is_prismatic, max_lag_s };
     let diagnose_as = |encoding: &JointEncoding| {
-        let run = EncodedRun::new(joints, streams, max_lag_s, encoding.clone(), true);
-        run.diagnose().streams.remove(0)
+        EncodedRun::new(run, encoding.clone(), true).diagnose().streams.remove(0)
     };
     let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
