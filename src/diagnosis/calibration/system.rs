@@ -7,7 +7,7 @@ use crate::selection::deviation_model::DEVIATION_GRID_M;
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::{Linear, Normal, Weight};
 use ground::geometry::{Pose, Vec3};
-use ground::robot::{Chain, LinkPath, Robot};
+use ground::robot::{LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -53,12 +53,6 @@ impl CalibrationSystem<'_> {
             zeros[joint] = state.values[self.parameters.links.len() + at];
         }
         zeros
-    }
-
-    /// Chain with the link deviations of `state`.
-    pub fn chain(&self, s: usize, state: &CalibrationState) -> Option<Chain> {
-        let stream = &self.streams[s];
-        self.robot_with(state, &[]).chain(stream.base, stream.tip).ok()
     }
 
     /// Weights are from the residuals there. A fit absorbed `fitted_share` of their variance; `None` before a fit.

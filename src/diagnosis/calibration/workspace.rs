@@ -31,7 +31,8 @@ impl TipSensitivity {
     pub(super) fn new(system: &CalibrationSystem, state: &CalibrationState) -> Self {
         let parameters = &system.parameters;
         let shared = parameters.shared();
-        let Some(chain) = system.chain(0, state) else {
+        let robot = system.robot_with(state, &[]);
+        let Ok(chain) = robot.chain(system.streams[0].base, system.streams[0].tip) else {
             return Self { effects: DMatrix::zeros(0, shared) };
         };
         let joints = random_configurations(&chain, CONFIGURATIONS, RANDOM_SEED);
