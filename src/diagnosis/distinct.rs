@@ -1,4 +1,11 @@
-//! Removes repeated candidates.
+//! Orders candidates by score, and removes repeated ones.
+
+/// Candidates by increasing score.
+pub(crate) fn by_score<T>(scored: impl IntoIterator<Item = (f64, T)>) -> impl Iterator<Item = T> {
+    let mut scored: Vec<(f64, T)> = scored.into_iter().collect();
+    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+    scored.into_iter().map(|(_, candidate)| candidate)
+}
 
 /// Keeps the first of each kind. `is_same` compares it with a later one.
 pub(crate) fn distinct<T>(

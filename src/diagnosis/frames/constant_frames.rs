@@ -2,6 +2,7 @@
 
 use super::position_fit::PositionFit;
 use super::rotation_frames::mean_rotation;
+use crate::distinct::by_score;
 use crate::model::jacobian::pose_changes;
 use crate::model::measurement::{PoseObservations, StreamAt, StreamState, pose_of_twist, stacked};
 use crate::priors::{LEVER_M, MARKER_PRIOR_M};
@@ -154,13 +155,10 @@ pub(crate) fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let starts =
         turns.into_iter().map(|turn| frames_for_rotation(turn, fk, logged)).chain([by_positions]);
     let pair = FramePair { fk, logged };
-    let mut rough: Vec<(f64, (Pose, Pose))> =
-        starts.filter_map(|start| minimize(&pair, start, ROUGH_LIMITS)).collect();
-    rough.sort_by(|a, b| a.0.total_cmp(&b.0));
-    rough
-        .into_iter()
+    let rough = starts.filter_map(|start| minimize(&pair, start, ROUGH_LIMITS));
+    by_score(rough)
         .take(CONTINUED_STARTS)
-        .filter_map(|(_, frames)| minimize(&pair, frames, LIMITS))
+        .filter_map(|frames| minimize(&pair, frames, LIMITS))
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(Default::default, |(_, frames)| frames)
 }

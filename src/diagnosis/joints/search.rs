@@ -11,6 +11,7 @@ use super::map::{
 };
 use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
+use crate::distinct::by_score;
 use crate::frames::position_fit::spread;
 use crate::priors::FLANGE_PRIOR_M;
 use rayon::prelude::*;
@@ -192,10 +193,8 @@ fn best_proposals(
     let thin = view.thinned(SCREENING_SAMPLES);
     let by =
         |proposals: Vec<JointProposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
-            let mut scored: Vec<(f64, JointProposal)> =
-                proposals.into_par_iter().map(|one| (score(&one.map), one)).collect();
-            scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-            scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
+            let scored = proposals.into_par_iter().map(|one| (score(&one.map), one));
+            by_score(scored.collect::<Vec<_>>()).take(most).collect::<Vec<_>>()
         };
     let screened = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
         true => {

@@ -4,6 +4,7 @@ use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
 use super::single_joint::SingleJoint;
 use super::slow_samples::JOINT_ENCODING_SAMPLES;
+use crate::distinct::by_score;
 use crate::model::measurement::PoseObservations;
 
 /// Best two joints whose zero alone would greatly reduce the residual, with their offsets. `offsets` is the
@@ -35,16 +36,11 @@ pub(crate) fn single_zeros(
     let residual_of =
         |map: &JointMap| view.residual_against(&view.fk(map), &named).combined_m(view.lever_m);
     let max_residual = MAX_ZERO_RESIDUAL_RATIO * residual_of(&nearest_zeros);
-    let mut zeros: Vec<(f64, usize, f64)> = chain
-        .turning_joints()
-        .filter_map(|joint| {
-            let zero =
-                SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0, true).0;
-            let residual_of = residual_of(&nearest_zeros.with(joint, 1.0, zero));
-            let is_off = (zero - nearest_zeros.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
-            (is_off && residual_of < max_residual).then_some((residual_of, columns[joint], zero))
-        })
-        .collect();
-    zeros.sort_by(|a, b| a.0.total_cmp(&b.0));
-    zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
+    let zeros = chain.turning_joints().filter_map(|joint| {
+        let zero = SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0, true).0;
+        let residual = residual_of(&nearest_zeros.with(joint, 1.0, zero));
+        let is_off = (zero - nearest_zeros.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
+        (is_off && residual < max_residual).then_some((residual, (columns[joint], zero)))
+    });
+    by_score(zeros).take(2).collect()
 }

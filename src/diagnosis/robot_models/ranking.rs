@@ -7,6 +7,7 @@
 
 use super::position_misfit::{MIN_SAMPLES, SlowPositions};
 use crate::PoseStream;
+use crate::distinct::by_score;
 use crate::encodings::position::metres_by_size;
 use crate::frames::position_fit::PositionFit;
 use crate::latency::correlation::{joint_speed_lags, linear_speed};
@@ -384,10 +385,8 @@ impl<'a> StreamWithFk<'a> {
             let step = own.damped_step(MIN_DAMPING);
             step.map_or(f64::INFINITY, |step| own.cost - own.right.dot(&step))
         };
-        let mut joints: Vec<(f64, usize)> =
-            (0..dof).map(|joint| (cost_with(joint), joint)).collect();
-        joints.sort_by(|a, b| a.0.total_cmp(&b.0));
-        joints.into_iter().take(MAX_JOINTS).map(|(_, joint)| joint).collect()
+        let joints = (0..dof).map(|joint| (cost_with(joint), joint));
+        by_score(joints).take(MAX_JOINTS).collect()
     }
 
     /// Collinear positions leave the rotation about the line free, so a free reference starts from each usual frame.

@@ -4,7 +4,7 @@
 
 use super::stepwise::{ScoredSet, grow};
 use crate::Measured;
-use crate::distinct::distinct;
+use crate::distinct::{by_score, distinct};
 use crate::model::measurement::{
     LATENCY_COLUMN, MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, RADIAL_SCALE_COLUMN,
     REFERENCE_COLUMNS_START, SKEW_COLUMN, STREAM_WIDTH, State, TOOL_COLUMNS_START,
@@ -580,10 +580,7 @@ fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
             .sum();
         fit + model.price()
     };
-    let mut scored: Vec<(f64, SelectedModel)> =
-        models.into_iter().zip(noises).map(|pair| (score(&pair), pair.0)).collect();
-    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    scored.into_iter().map(|(_, model)| model).collect()
+    by_score(models.into_iter().zip(noises).map(|pair| (score(&pair), pair.0))).collect()
 }
 
 impl SelectedModel {
