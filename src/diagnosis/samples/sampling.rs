@@ -1,5 +1,6 @@
 //! Selects samples of a stream.
 
+use crate::distinct::by_score;
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{Pose, Rotation, interpolate};
 use ground::robot::Chain;
@@ -115,16 +116,13 @@ pub(crate) fn slow_samples(
     const MAX_SAMPLES: usize = 4000;
     let t_s = &stream.track.t_s;
     let mut sequence = joints.sequence();
-    let mut slowest: Vec<(usize, f64)> = Vec::new();
-    for (k, t) in thinned(t_s.iter().enumerate(), MAX_SAMPLES) {
-        if let Some((_, qd)) = sequence.at(t - lag_s) {
-            slowest.push((k, qd.iter().map(|v| v * v).sum()));
-        }
-    }
-    let kept = slowest.len().div_ceil(2);
-    slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
-    slowest.truncate(kept);
-    let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
+    let covered = thinned(t_s.iter().enumerate(), MAX_SAMPLES).filter_map(|(k, t)| {
+        let (_, qd) = sequence.at(t - lag_s)?;
+        Some((qd.iter().map(|v| v * v).sum(), k))
+    });
+    let covered: Vec<(f64, usize)> = covered.collect();
+    let slow = covered.len().div_ceil(2);
+    let mut rows: Vec<usize> = by_score(covered).take(slow).collect();
     rows.sort_unstable();
     let rows: Vec<usize> = thinned(rows, ENCODING_SAMPLES).collect();
     let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
