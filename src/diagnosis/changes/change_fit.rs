@@ -9,6 +9,7 @@ use super::jumps::Jump;
 use crate::priors::price;
 use crate::residuals::cause_columns::{Frame, shared_equations};
 use crate::solver::linear::{Normal, SharedEquations, StreamEquations, Weight};
+use ground::stats::lowest;
 use nalgebra::{DVector, Vector6};
 use std::ops::Range;
 
@@ -51,7 +52,7 @@ impl Equations {
 
     /// The change whose removal adds the least cost.
     fn least_needed(&self, changes: &[Change]) -> Option<usize> {
-        let cost_without = |at: usize| {
+        let cost_without = |&at: &usize| {
             let own = &self.changes[at];
             let mut values = DVector::zeros(self.normal.right.len());
             let half = &changes[at].half;
@@ -59,8 +60,7 @@ impl Equations {
             let others: Vec<usize> = (0..values.len()).filter(|it| !own.contains(it)).collect();
             self.normal.cost_after(&self.normal.step(&values, &others))
         };
-        let costs = (0..changes.len()).map(|at| (at, cost_without(at)));
-        costs.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at)
+        lowest(0..changes.len(), cost_without)
     }
 
     /// Twice the log likelihood, minus the price of the changes.

@@ -14,6 +14,7 @@ use crate::arm_run::ArmRun;
 use crate::priors::LEVER_M;
 use crate::residuals::comparison::has_slow_residual;
 use crate::solver::linear::{Linear, StreamEquations, Weight};
+use ground::stats::{highest, lowest};
 use ground::stream::encoder_tick;
 
 /// `None` if no change is likely.
@@ -29,10 +30,9 @@ pub(super) fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Optio
     // With its own noise, a candidate with a correlated residual would score less than a candidate with a larger white
     // residual.
     let weights = found.iter().map(|(_, weights)| weights);
-    let noise = weights.min_by(|a, b| sigma_m(a).total_cmp(&sigma_m(b)))?.clone();
-    let scored =
-        found.into_iter().map(|(candidate, _)| (candidate.score(&streams, &noise), candidate));
-    let (_, mut changed) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let noise = lowest(weights, |it| sigma_m(it))?.clone();
+    let candidates = found.into_iter().map(|(candidate, _)| candidate);
+    let mut changed = highest(candidates, |it| it.score(&streams, &noise))?;
     while let Some(fewer) = changed.reduced(&streams, &noise) {
         changed = fewer;
     }
@@ -62,7 +62,7 @@ fn search(
         };
         let can_grow = current.changes.len() < MAX_CHANGES * streams.len();
         let pairs = steady.iter().zip(&equations.shared.streams).filter(|_| can_grow);
-        let next = pairs.filter_map(next).max_by(|a, b| a.1.total_cmp(&b.1));
+        let next = highest(pairs.filter_map(next), |next| next.1);
         if !found.iter().any(|(known, _)| known.has_changes_of(&current)) {
             found.push((current.clone(), current.weights(&steady, equations)));
         }
@@ -151,7 +151,7 @@ impl RecordedJumps {
         let Profile::Step(step) = profile else { return false };
         let jumps = subject.stream().map_or(&self.of_joints, |stream| &self.of_streams[stream]);
         let within = jumps.iter().filter(|jump| jump.overlaps(step));
-        let strongest = within.max_by(|a, b| a.strength.total_cmp(&b.strength));
+        let strongest = highest(within, |jump| jump.strength);
         if let Some(&Jump { at_s, within_s, .. }) = strongest {
             *step = Jump { at_s, within_s, ..*step };
         }

@@ -12,6 +12,7 @@ use crate::priors::price;
 use crate::residuals::cause_columns::{CauseColumns, Frame, LATENCY, ZEROS};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::{Linear, Weight, ridged};
+use ground::stats::highest;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -202,7 +203,7 @@ impl<'a> ScoreTest<'a> {
     /// Cause with the highest score.
     fn likeliest(&self, gains: &[f64], profile_parameters: usize) -> Option<(usize, f64)> {
         let score = |(of, gain): (usize, &f64)| (of, self.score(of, *gain, profile_parameters));
-        gains.iter().enumerate().map(score).max_by(|a, b| a.1.total_cmp(&b.1))
+        highest(gains.iter().enumerate().map(score), |it| it.1)
     }
 
     fn scored(&self, profile: Profile) -> Option<Scored> {
@@ -260,7 +261,7 @@ impl<'a> ScoreTest<'a> {
                 // The time is a parameter, too.
                 free.map(|of| (*sample, of, gains[of], self.score(of, gains[of], 1)))
             });
-            scored.max_by(|a, b| a.3.total_cmp(&b.3))
+            highest(scored, |it| it.3)
         };
         let coarse = tested(&mut inner.clone().step_by(STRIDE));
         let (near, ..) = likeliest(&coarse)?;
@@ -301,7 +302,7 @@ pub(super) fn likeliest_change<'a>(
     test.causes.retain(|cause| kind.causes.contains(cause, columns));
     let drift = kind.with_drifts.then(|| test.likeliest_drift()).flatten();
     let all = drift.into_iter().chain(test.likeliest_step(found));
-    all.filter(|(.., score)| *score > 0.0).max_by(|a, b| a.2.total_cmp(&b.2))
+    highest(all, |it| it.2).filter(|(.., score)| *score > 0.0)
 }
 
 #[cfg(test)]

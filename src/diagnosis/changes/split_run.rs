@@ -7,6 +7,7 @@ use crate::arm_run::ArmRun;
 use crate::latency::compensation::{tracks_with_stamps, with_tracks};
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::samples::sampling::rows_within;
+use ground::stats::lowest;
 use ground::stream::JointTrack;
 
 /// Change points are on the joint states' clock.
@@ -41,9 +42,8 @@ impl SplitRun<'_> {
             let is_short = |span: &Span| self.samples(*span) < MIN_SEGMENT_SAMPLES;
             let Some(short) = spans.iter().position(is_short) else { return spans };
             let ends = short.checked_sub(1).into_iter().chain([short]);
-            let weaker = ends
-                .filter(|&end| end < jumps.len())
-                .min_by(|&a, &b| jumps[a].strength.total_cmp(&jumps[b].strength));
+            let ends = ends.filter(|end| *end < jumps.len());
+            let weaker = lowest(ends, |end| jumps[*end].strength);
             let Some(weaker) = weaker else { return Vec::new() };
             jumps.remove(weaker);
         }

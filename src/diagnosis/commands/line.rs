@@ -15,7 +15,7 @@ use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, mean_vector, rotation_from_rotvec,
     rotvec_from_rotation,
 };
-use ground::stats::MeasuredLength;
+use ground::stats::{MeasuredLength, highest, lowest};
 
 const MIN_LINE_M: f64 = 0.02;
 /// Near half a turn the shortest rotation is ambiguous.
@@ -206,7 +206,7 @@ fn identify_interpolation(
     });
     // The first of equal candidates is the most common.
     let interpolations = blends.into_iter().chain(numbers);
-    let (min_rms, name) = interpolations.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (min_rms, name) = lowest(interpolations, |it| it.0)?;
     (min_rms <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
@@ -271,7 +271,7 @@ fn line_deviation(
             let variance = variance_of_mean(noise, bin.len()) + variance_of_mean(noise, fewest);
             length_of(mean_vector(bin.iter().map(|deviations| deviations[kind])), variance)
         });
-        let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
+        let longest = highest(lengths, |length| length.norm.value)?;
         // Bonferroni: maximum over the bins.
         Some(MeasuredLength { p_value: (longest.p_value * count as f64).min(1.0), ..longest })
     };

@@ -21,7 +21,7 @@ use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::thin::thinned;
-use ground::stats::{Measured, mean};
+use ground::stats::{Measured, lowest, mean};
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
@@ -105,7 +105,7 @@ pub fn infer_joint_order(
     // Returns the first of equal candidates.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
     let orders = orders.map(|order| (distance(&order), order));
-    let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (least, order) = lowest(orders, |it| it.0)?;
     (least < MAX_JOINT_DISTANCE).then_some(order)
 }
 
@@ -145,7 +145,6 @@ pub fn diagnose_commands(
     let constant_commands = constant_commands(series, is_streamed, end_s);
     let with_noise = |series| MeasuredPoses { series, noise: pose_noise(series, &rests) };
     let measured_poses: Vec<MeasuredPoses<'_>> = measured_poses.iter().map(with_noise).collect();
-    let by_error = |a: &RestErrors, b: &RestErrors| smallest_error(a).total_cmp(&smallest_error(b));
     let (mut reached, mut unreached): (Vec<RestErrors>, Vec<RestErrors>) = Default::default();
     for command in &constant_commands {
         let windows = rest_windows(command, &rests, is_streamed, tracking).into_iter();
@@ -156,14 +155,14 @@ pub fn diagnose_commands(
         let at_rests = rest_errors.filter(|errors| errors.iter().any(Option::is_some));
         if tracking.is_some() {
             reached.extend(at_rests);
-        } else if let Some(nearest) = at_rests.min_by(by_error) {
+        } else if let Some(nearest) = lowest(at_rests, |errors| smallest_error(errors)) {
             // A rest farther from the goal was not its target: the arm stopped early or was moved by other means.
             let is_near = smallest_error(&nearest) <= 1.0;
             if is_near { reached.push(nearest) } else { unreached.push(nearest) }
         }
     }
     let misses = unreached.iter().flatten().flatten();
-    let nearest = misses.min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)));
+    let nearest = lowest(misses, |miss| relative_error(miss));
     let nearest_miss = nearest.map(|miss| (miss.distance_m.norm.value, miss.angle_rad.norm.value));
     if (0..measured_poses.len()).any(|stream| is_constant_transform(&unreached, stream)) {
         reached.append(&mut unreached);
@@ -335,7 +334,7 @@ fn command_tracking(
     let peaks = speeds.lag_peaks(&series.t_s, &xyz, Some(&rotations), max_lag_s);
     let highest = peaks.first()?.correlation;
     let high = peaks.iter().filter(|peak| peak.correlation >= highest - MAX_PEAK_DEFICIT);
-    let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;
+    let peak = lowest(high, |peak| peak.lag_s.abs())?;
     if peak.correlation < MIN_CORRELATION {
         return None;
     }

@@ -15,7 +15,7 @@ use crate::{
     ArmDiagnosis, JointCoupling, JointEncoding, JointUnit, JointUnitError, PoseDiagnosis,
     UnitResiduals,
 };
-use ground::stats::{Measured, mean};
+use ground::stats::{Measured, lowest, mean};
 
 /// Position error of a joint per position of joint `by`. Columns of the joint track.
 #[derive(Clone, Copy)]
@@ -61,7 +61,7 @@ impl ArmRun<'_> {
         let coefficients: Vec<Coefficient> = gains.iter().map(coefficient).collect();
         let system = ComplianceSystem::new(&samples, &coefficients);
         let cost = |gain: &usize| system.cost(&[*gain]);
-        let best = (0..gains.len()).min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        let best = lowest(0..gains.len(), cost)?;
         let selection_price = 2.0 * (gains.len() as f64).ln();
         let gained = system.cost(&[]) - cost(&best);
         let gain = Gain { amount: system.best_value(best), ..gains[best] };

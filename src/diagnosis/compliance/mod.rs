@@ -24,6 +24,7 @@ use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
+use ground::stats::lowest;
 
 pub(super) use gains::diagnose_with_gain;
 use gravity::MassModel;
@@ -217,8 +218,7 @@ impl ArmRun<'_> {
         let sags = |set: &&Vec<JointCompliance>| set.iter().any(JointCompliance::is_sag);
         let Some(first) = sets.iter().find(sags) else { return Some((search, sets)) };
         let searches = MassModel::CANDIDATES.into_iter().filter_map(with_masses);
-        let searches = searches.map(|search| (search.residual_noise(first), search));
-        let search = searches.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let search = lowest(searches, |search| search.residual_noise(first))?;
         let sets = search.terms();
         Some((search, sets))
     }

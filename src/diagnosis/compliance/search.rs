@@ -10,7 +10,7 @@ use crate::arm_run::ArmRun;
 use crate::joints::MIN_MOTION_RAD;
 use crate::samples::sampling::value_range;
 use crate::selection::stepwise::{ScoredSet, grow};
-use ground::stats::mean;
+use ground::stats::{lowest, mean};
 use ground::stream::JointTrack;
 use std::ops::Range;
 use std::sync::Arc;
@@ -158,16 +158,12 @@ impl<'a> ComplianceSearch<'a> {
         let loaded = |at_s: f64| -> Vec<JointCompliance> {
             self.sagging().map(|column| self.sag(column, Some((at_s, step_s)))).collect()
         };
-        let cost_at = |at_s: f64| self.system(&loaded(at_s)).noise();
+        let cost_at = |at_s: &f64| self.system(&loaded(*at_s)).noise();
         let rough = (1..TRIAL_TIMES).map(|at| first + length_s * at as f64 / TRIAL_TIMES as f64);
-        let best = |tried: &mut dyn Iterator<Item = f64>| {
-            let costs = tried.map(|at_s| (cost_at(at_s), at_s));
-            costs.min_by(|a, b| a.0.total_cmp(&b.0))
-        };
-        let Some((_, rough_s)) = best(&mut rough.into_iter()) else { return Vec::new() };
+        let Some(rough_s) = lowest(rough, cost_at) else { return Vec::new() };
         let near =
             (-GRID_REFINEMENT..=GRID_REFINEMENT).map(|step| rough_s + step_s * f64::from(step));
-        let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
+        let Some(at_s) = lowest(near, cost_at) else { return Vec::new() };
         let mut terms = loaded(at_s);
         terms.extend(self.candidates().into_iter().filter(JointCompliance::is_backlash));
         let set = self.selected(&terms, |_| true, &self.system(&terms));

@@ -13,7 +13,7 @@ use super::steps::{MAX_PROFILE_SAMPLES, detect_steps};
 use crate::samples::sampling::{as_rotations, monotonic_rows, value_range};
 use crate::{ImuStream, PoseStream};
 use ground::stats::thin::thinned;
-use ground::stats::{median, quantile};
+use ground::stats::{highest, lowest, median_of, quantile};
 use ground::stream::JointTrack;
 
 const MIN_CORRELATION: f64 = 0.85;
@@ -57,8 +57,7 @@ impl CoarseLatencyChange {
     /// Lag that remains when the change is removed, s: that of the level with the smallest one.
     pub fn retained_s(&self) -> f64 {
         let lags_s = self.levels().into_iter().map(|level| level.1);
-        let least_s = lags_s.min_by(|a, b| a.abs().total_cmp(&b.abs()));
-        least_s.filter(|_| self.has_steps()).unwrap_or(0.0)
+        lowest(lags_s, |lag_s| lag_s.abs()).filter(|_| self.has_steps()).unwrap_or(0.0)
     }
 
     /// Compensated stamps, each with its row. Drops rows near a step and rows that would be out of order.
@@ -124,10 +123,9 @@ fn detect_changes(
         (speeds, lag_windows(speeds, max_lag_s))
     });
     let typical = |windows: &[LagWindow]| {
-        let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
-        median(&mut all).unwrap_or(0.0)
+        median_of(windows.iter().map(|window| window.correlation)).unwrap_or(0.0)
     };
-    let (speeds, windows) = seen.max_by(|a, b| typical(&a.1).total_cmp(&typical(&b.1)))?;
+    let (speeds, windows) = highest(seen, |(_, windows)| typical(windows))?;
     let followed: Vec<&LagWindow> =
         windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
     let is_large = |latency: &PiecewiseLatency| {

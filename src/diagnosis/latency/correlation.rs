@@ -12,7 +12,7 @@ use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Pose, Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::thin::thinned;
-use ground::stats::{cumulative, median, parabola_minimum};
+use ground::stats::{cumulative, highest, median_of, parabola_minimum};
 use ground::stream::{JointTrack, PoseTrack, bracket};
 use realfft::RealFftPlanner;
 
@@ -129,7 +129,7 @@ impl ArmSpeeds {
             found.push(lag_peaks(&self.linear, &inverse, max_lag_s));
         }
         let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-        found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
+        highest(found, best).unwrap_or_default()
     }
 }
 
@@ -185,7 +185,7 @@ pub(crate) fn median_period_s(t_s: &[f64]) -> f64 {
     const MAX_INTERVALS: usize = 5_000;
     let stretches = row_blocks(t_s.len(), MAX_INTERVALS);
     let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
-    median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
+    median_of(periods).unwrap_or(0.0)
 }
 
 /// Position speed, in the logged unit per second.

@@ -5,8 +5,8 @@ use crate::model::jacobian::PoseJacobian;
 use crate::solver::linear::Linear;
 use crate::solver::robust::pseudo_inverse;
 use ground::geometry::Pose;
-use ground::stats::Measured;
 use ground::stats::thin::thinned;
+use ground::stats::{Measured, lowest};
 use ground::stream::JointTrack;
 
 /// A group of joints that is late against the arm's other joints.
@@ -33,7 +33,7 @@ impl LateJoints {
         let fit = |own: &[usize]| TwoLatencies::fit(joints, stream, (factor, lag_s), own);
         let together = fit(&[])?;
         let fits = groups.iter().enumerate().filter_map(|(at, own)| Some((at, fit(own)?)));
-        let (group, best) = fits.min_by(|a, b| a.1.mean_square.total_cmp(&b.1.mean_square))?;
+        let (group, best) = lowest(fits, |fit| fit.1.mean_square)?;
         let late = best.between;
         let is_clear = best.mean_square < MAX_REMAINING_SHARE * together.mean_square
             && late.value.abs() > MIN_STD_ERRORS * late.std_error;

@@ -29,7 +29,7 @@ mod windows;
 use crate::samples::sampling::{monotonic_rows, value_range};
 use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
-use ground::stats::median;
+use ground::stats::{highest, lowest, median_of};
 use nalgebra::Vector6;
 use shapes::{Basis, Fit, likeliest_shape, middle_s};
 use windows::{Window, noise, normalized, windows};
@@ -88,8 +88,7 @@ pub struct LatencyStep {
 
 /// Size of the largest step.
 pub(crate) fn largest(steps: &[LatencyStep]) -> Option<Measured> {
-    let size = |step: &&LatencyStep| step.size_s.value.abs();
-    Some(steps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s)
+    Some(highest(steps, |step| step.size_s.value.abs())?.size_s)
 }
 
 impl LatencyProfile {
@@ -155,7 +154,7 @@ impl LatencyProfile {
         let mut steps = self.steps.clone();
         for step in &further.steps {
             let apart_s = |it: &LatencyStep| (it.at_s - step.at_s).abs();
-            let near = steps.iter_mut().min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)));
+            let near = lowest(&mut steps, |it| apart_s(it));
             match near.filter(|near| apart_s(near) < MIN_SEPARATION_S) {
                 Some(near) => {
                     let value = near.size_s.value + step.size_s.value;
@@ -186,8 +185,7 @@ impl LatencyProfile {
 
     /// Median level at the stamps, s.
     pub fn typical_s(&self, t_s: &[f64]) -> f64 {
-        let mut latencies: Vec<f64> = t_s.iter().map(|&t_s| self.levels.at(t_s)).collect();
-        median(&mut latencies).unwrap_or(0.0)
+        median_of(t_s.iter().map(|&t_s| self.levels.at(t_s))).unwrap_or(0.0)
     }
 
     /// Makes the levels relative to the median at the stamps.
@@ -403,6 +401,5 @@ fn measured(windows: &[Window]) -> Vec<(f64, Measured)> {
 }
 
 fn typical_std_error_s(windows: &[Window]) -> f64 {
-    let mut errors: Vec<f64> = windows.iter().map(|window| window.latency_s.std_error).collect();
-    median(&mut errors).unwrap_or(0.0)
+    median_of(windows.iter().map(|window| window.latency_s.std_error)).unwrap_or(0.0)
 }

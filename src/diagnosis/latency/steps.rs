@@ -9,8 +9,8 @@ use super::profile::{LatencyProfile, LatencyShape, LatencyStep, largest, mean};
 use super::speed_residual::{MAX_SPEED_RESIDUAL_SHARE, SpeedPair};
 use crate::samples::sampling::rows_within;
 use crate::{EstimateResult, Measured};
-use ground::stats::parabola_minimum;
 use ground::stats::thin::thinned;
+use ground::stats::{highest, lowest, parabola_minimum};
 
 /// More do not improve a lag.
 pub(super) const MAX_PROFILE_SAMPLES: usize = 4000;
@@ -58,9 +58,7 @@ fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     let mut groups: Vec<&[&LagWindow]> =
         all.chunk_by(|a, b| b.lag_s - a.lag_s < MIN_LAG_SEPARATION_S).collect();
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-    let best = |group: &[&LagWindow]| {
-        group.iter().max_by(|a, b| a.correlation.total_cmp(&b.correlation)).map(|best| best.lag_s)
-    };
+    let best = |group: &[&LagWindow]| highest(group, |it| it.correlation).map(|best| best.lag_s);
     groups.into_iter().take(MAX_LAGS).filter_map(best).collect()
 }
 
@@ -80,7 +78,7 @@ fn assign_lags(SpeedPair { arm, stream }: SpeedPair, lags: &[f64]) -> Option<Coa
     // Start of each level, its lag and the interval before it. As long as the step if only the clock was set forward.
     let step = |at: usize| {
         let between = rows[at - 1] + 1..=rows[at];
-        let begin = between.max_by(|a, b| gap_s(a).total_cmp(&gap_s(b))).unwrap_or(rows[at]);
+        let begin = highest(between, gap_s).unwrap_or(rows[at]);
         (stream.t_s[begin], path[at], gap_s(&begin))
     };
     let steps = (1..rows.len()).filter(|&at| path[at] != path[at - 1]).map(step);
@@ -116,7 +114,7 @@ fn assign_lags(SpeedPair { arm, stream }: SpeedPair, lags: &[f64]) -> Option<Coa
 /// The lag of each row with the smallest sum of costs, of which there is a list per lag, and of a price per change of the
 /// lag.
 fn cheapest_path(costs: &[Vec<f64>], price: f64) -> Option<Vec<usize>> {
-    let cheapest = |sums: &[f64]| (0..sums.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]));
+    let cheapest = |sums: &[f64]| lowest(0..sums.len(), |at| sums[*at]);
     let rows = costs.first()?.len();
     let mut sums: Vec<f64> = costs.iter().map(|own| own[0]).collect();
     let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows);
@@ -153,7 +151,7 @@ impl CoarseLatencyChange {
             let cost = |lag_s: f64| speeds.residual(&|_| lag_s);
             let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));
-            let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
+            let best_s = lowest(tried.map(|lag_s| (cost(lag_s), lag_s)), |it| it.0);
             let Some((min_residual, best_s)) = best_s else { return lag_s };
             let [before, after] =
                 [best_s - LAG_SEARCH_STEP_S, best_s + LAG_SEARCH_STEP_S].map(cost);

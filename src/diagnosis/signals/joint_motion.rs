@@ -4,7 +4,7 @@
 mod tests;
 
 use ground::stats::thin::thinned;
-use ground::stats::{mean, quantile};
+use ground::stats::{highest, mean, quantile};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -40,7 +40,7 @@ pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Lim
         let found = first_violation(t_s, q.iter().map(|q| -q), -lower)?;
         Some(LimitViolation { limit: lower, value: -found.value, ..found })
     });
-    [above, below].into_iter().flatten().max_by(|a, b| a.excess().total_cmp(&b.excess()))
+    highest([above, below].into_iter().flatten(), LimitViolation::excess)
 }
 
 /// Speed limit violation. Two consecutive samples must exceed the limit, and the smaller counts: one sample

@@ -5,7 +5,7 @@
 //! (Ljung, *System Identification*, 2nd ed., §4.2, with at most two poles).
 
 use crate::NotObservable;
-use ground::stats::{Measured, median};
+use ground::stats::{Measured, lowest, median_of};
 use ground::stream::bracket;
 use nalgebra::{DMatrix, Matrix6, Vector6};
 
@@ -60,8 +60,7 @@ impl TimeSeries {
     /// From columns with common times. Gaps are longer than 0.2 s and five median intervals.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
         const MIN_GAP_S_PERIODS: (f64, f64) = (0.2, 5.0);
-        let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let period_s = median(&mut periods).unwrap_or(0.0);
+        let period_s = median_of(t_s.windows(2).map(|pair| pair[1] - pair[0])).unwrap_or(0.0);
         let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
         let longest_s = MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s);
         Self { t_s, columns, slopes, longest_s }
@@ -325,9 +324,8 @@ impl ResponseChanges {
         const DELAY_RESOLUTION_S: f64 = 2e-5;
         /// Factor and offset to the best unexplained share for a competing delay.
         const COMPETITOR_TOLERANCE: (f64, f64) = (2.0, 0.02);
-        let mut lengths: Vec<f64> =
-            self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
-        let step_s = (median(&mut lengths).unwrap_or(0.1) / 4.0).max(5e-3);
+        let lengths_s = self.windows.iter().map(|(from_s, to_s)| to_s - from_s);
+        let step_s = (median_of(lengths_s).unwrap_or(0.1) / 4.0).max(5e-3);
         let steps = (max_delay_s / step_s).ceil() as i64;
         let tried = |step: i64| step as f64 * step_s;
         let residuals: Vec<f64> =
@@ -344,7 +342,7 @@ impl ResponseChanges {
         };
         let lows = (0..residuals.len()).filter(|&at| is_low(at));
         let lows: Vec<(f64, f64)> = lows.map(refined).collect();
-        let Some(&(delay_s, min_residual)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+        let Some(&(delay_s, min_residual)) = lowest(&lows, |low| low.1) else {
             return Err(NotObservable::DoesNotFollow(0.0));
         };
         let (low_pass_s, delay_s, residuals) =
@@ -406,15 +404,15 @@ impl ResponseChanges {
         }
         let ratio = (max_delay_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
         let step = |at: usize| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32));
-        let by_residual = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
-        let every_second = (0..=TIME_CONSTANT_STEPS).step_by(2).map(step).min_by(by_residual);
+        let residual = |fit: &(f64, f64, f64)| fit.2;
+        let every_second = lowest((0..=TIME_CONSTANT_STEPS).step_by(2).map(step), residual);
         let Some(coarse) = every_second.filter(|best| best.2 < MAX_COARSE_RATIO * pure.1) else {
             return (0.0, pure.0, pure.1);
         };
         let between = (1..TIME_CONSTANT_STEPS).step_by(2).map(step);
-        let coarse = std::iter::once(coarse).chain(between).min_by(by_residual).unwrap_or(coarse);
+        let coarse = lowest(std::iter::once(coarse).chain(between), residual).unwrap_or(coarse);
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
-        let best = finer.min_by(by_residual).unwrap_or(coarse);
+        let best = lowest(finer, residual).unwrap_or(coarse);
         let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1
             && pure.1 - best.2 > MIN_GAIN
             && best.0 > MIN_LOW_PASS_SHARE * (best.0 + best.1);

@@ -6,7 +6,7 @@
 //! factors*, J. Res. NBS 87, 1982). For a step, a before/after indicator replaces time.
 
 use crate::Measured;
-use ground::stats::{mean, median};
+use ground::stats::{mean, median_of};
 
 /// Estimate from one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,8 +110,7 @@ fn most_likely_step(estimates: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
 /// the median are left out.
 fn persists_without_any_run(estimates: &[RunEstimate], after_s: f64, by: f64) -> bool {
     const MIN_PERSISTING_SHARE: f64 = 0.5;
-    let mut values: Vec<f64> = estimates.iter().map(|one| one.value).collect();
-    let middle = median(&mut values).unwrap_or(0.0);
+    let middle = median_of(estimates.iter().map(|one| one.value)).unwrap_or(0.0);
     let deviation = |run: usize| (estimates[run].value - middle).abs();
     let mut runs: Vec<usize> = (0..estimates.len()).collect();
     runs.sort_by(|a, b| deviation(*b).total_cmp(&deviation(*a)));

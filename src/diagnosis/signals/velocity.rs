@@ -6,7 +6,7 @@ use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
 use crate::samples::sampling::{check_sample_count, range_of, row_blocks};
 use crate::{NotObservable, Response};
-use ground::stats::{Measured, cumulative, mean, quantile};
+use ground::stats::{Measured, cumulative, lowest, mean, quantile};
 use ground::stream::sample_noise;
 use nalgebra::Vector6;
 
@@ -317,7 +317,7 @@ fn shape(
         let (gain, residual) = changes.gain(&joint.curve());
         (residual, other, gain)
     });
-    let other = other_joints.min_by(|a, b| a.0.total_cmp(&b.0));
+    let other = lowest(other_joints, |it| it.0);
     let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
     let sign = if along < 0.0 { -1.0 } else { 1.0 };
     let signed = changes.changes.iter().map(|by| sign * by).collect();

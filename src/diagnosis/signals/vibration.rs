@@ -1,6 +1,6 @@
 //! Vibration of a path: power above the commanded motion, in excess of noise.
 
-use ground::stats::{mean, median, quantile};
+use ground::stats::{highest, mean, median_of, quantile};
 use std::f64::consts::TAU;
 
 use realfft::RealFftPlanner;
@@ -162,15 +162,14 @@ pub fn vibration_path(
     let lines = power.map(|(bin, power)| [bin as f64 * spectrum.bin_hz, power.sqrt()]);
     remove_parabola(&mut path);
     let size = |axis: &usize| path.iter().map(|point| point[*axis].powi(2)).sum::<f64>();
-    let most = (0..3).max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let most = highest(0..3, size)?;
     let trace = times.iter().zip(&path).map(|(&t_s, point)| [t_s, point[most]]);
     Some(VibrationPath { spectrum: lines.collect(), trace: trace.collect() })
 }
 
 /// Median interval, s.
 fn period(t_s: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let period_s = median(&mut steps)?;
+    let period_s = median_of(t_s.windows(2).map(|pair| pair[1] - pair[0]))?;
     (period_s > 0.0).then_some(period_s)
 }
 
@@ -258,7 +257,7 @@ impl Spectrum {
         /// Not exceeded by chance.
         const NOISE_SIGMAS: f64 = 6.0;
         let band = self.band(power, from);
-        let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
+        let Some((strongest, _)) = highest(band.iter().enumerate(), |bin| *bin.1) else {
             return Vibration::default();
         };
         let count = band.len() as f64;
@@ -281,7 +280,7 @@ impl Spectrum {
 
 /// Mean power of white noise in a band.
 fn noise_power(band: &[f64]) -> f64 {
-    median(&mut band.to_vec()).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER
+    median_of(band.iter().copied()).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER
 }
 
 /// Removes one step, such as a slipping tool or clock adjustment. Vibration repeats.
@@ -295,7 +294,7 @@ fn remove_step(path: &mut [Vec3]) {
     };
     let steps: Vec<(f64, usize)> =
         (1..path.len().saturating_sub(2)).map(|at| (around(at).norm(), at)).collect();
-    let Some(&(largest, at)) = steps.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+    let Some(&(largest, at)) = highest(&steps, |step| step.0) else { return };
     let mut sizes: Vec<f64> = steps.iter().map(|step| step.0).collect();
     let usual = quantile(&mut sizes, DEVIATION_QUANTILE).unwrap_or(largest);
     if largest > MIN_STEP_RATIO * usual {

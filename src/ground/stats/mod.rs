@@ -27,6 +27,29 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
+/// [`median`] of any values.
+pub fn median_of(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    median(&mut Vec::from_iter(values))
+}
+
+/// Item with the lowest value; the first of equal ones.
+pub fn lowest<T>(
+    items: impl IntoIterator<Item = T>,
+    mut value: impl FnMut(&T) -> f64,
+) -> Option<T> {
+    let valued = items.into_iter().map(|item| (value(&item), item));
+    Some(valued.min_by(|a, b| a.0.total_cmp(&b.0))?.1)
+}
+
+/// Item with the highest value; the last of equal ones.
+pub fn highest<T>(
+    items: impl IntoIterator<Item = T>,
+    mut value: impl FnMut(&T) -> f64,
+) -> Option<T> {
+    let valued = items.into_iter().map(|item| (value(&item), item));
+    Some(valued.max_by(|a, b| a.0.total_cmp(&b.0))?.1)
+}
+
 /// Minimum of the parabola through three evenly spaced values, in intervals from the middle one. 0 without a minimum.
 pub fn parabola_minimum([before, at, after]: [f64; 3]) -> f64 {
     let curvature = before - 2.0 * at + after;

@@ -2,6 +2,7 @@
 
 use super::windows::{BIN_S, Bin, Terms, Window, effective_count};
 use crate::priors::price_of_cause;
+use ground::stats::highest;
 use ground::stats::thin::thinned;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
 
@@ -223,7 +224,7 @@ fn likeliest_times(
     let coarse: Vec<Window> = windows.iter().map(Window::as_one_bin).collect();
     let score =
         |times_s: Vec<f64>| Some((Fit::new(&coarse, basis(times_s.clone()))?.score, times_s));
-    Some(tried.filter_map(score).max_by(|a, b| a.0.total_cmp(&b.0))?.1)
+    Some(highest(tried.filter_map(score), |it| it.0)?.1)
 }
 
 /// The likeliest spline between the ends of the run and evenly chosen windows whose score may exceed `min_score`.
@@ -243,7 +244,7 @@ fn fit_wander(windows: &[Window], min_score: f64) -> Option<Fit> {
     let count = effective_count(windows);
     let knots = knots.map(Basis::Spline).filter(|basis| -basis.price(count) > min_score);
     let fits = knots.filter_map(|basis| Fit::new(windows, basis));
-    fits.max_by(|a, b| a.score.total_cmp(&b.score))
+    highest(fits, |fit| fit.score)
 }
 
 /// The likeliest latency that grows with the joint or tool speed, possibly low-pass filtered.
@@ -256,7 +257,7 @@ fn fit_load(windows: &[Window], _: f64) -> Option<Fit> {
         let varies = load.iter().any(|one| *one != load[0]);
         varies.then(|| Fit::new(windows, Basis::Load(load, middle_s)))?
     });
-    fits.max_by(|a, b| a.score.total_cmp(&b.score))
+    highest(fits, |fit| fit.score)
 }
 
 pub(super) fn middle_s(windows: &[Window]) -> f64 {
