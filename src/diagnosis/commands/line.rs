@@ -53,6 +53,7 @@ pub struct LineDeviation {
 
 struct PoseMotion {
     from: Pose,
+    to: Pose,
     along: Vec3,
     length_m: f64,
     /// Start to end, in the start frame, rad.
@@ -65,6 +66,7 @@ impl PoseMotion {
         let length_m = chord.norm();
         Self {
             from: *from,
+            to: *to,
             along: chord / length_m.max(f64::MIN_POSITIVE),
             length_m,
             turn: rotvec_from_rotation(&(from.rotation.inverse() * to.rotation)),
@@ -124,8 +126,7 @@ fn commanded_line(
     const MAX_LINE_DEVIATION: (f64, f64) = (2e-5, 1e-4);
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
-    let (first, last) = (poses.first()?, poses.last()?);
-    let motion = PoseMotion::new(first, last);
+    let motion = PoseMotion::new(poses.first()?, poses.last()?);
     let turn_rad = motion.turn.norm();
     if poses.len() < MIN_COMMANDS || motion.length_m < MIN_LINE_M || turn_rad > MAX_ROTATION_RAD {
         return None;
@@ -143,9 +144,8 @@ fn commanded_line(
     if !located.iter().all(is_on) || longest.fold(0.0, f64::max) > 0.3 {
         return None;
     }
-    let rotations = poses.iter().map(|pose| pose.rotation);
-    let placed: Vec<(f64, Rotation)> =
-        located.iter().map(|(part, _)| *part).zip(rotations).collect();
+    let placed = located.iter().zip(poses).map(|((part, _), pose)| (*part, pose.rotation));
+    let placed: Vec<(f64, Rotation)> = placed.collect();
     let off_line =
         |(part, rotation): &(f64, Rotation)| angle_between(rotation, &motion.slerp(*part));
     let command_rad = placed.iter().map(off_line).fold(0.0, f64::max);
@@ -157,7 +157,7 @@ fn commanded_line(
         turn_rad,
         command_rad,
         command_off_axis_rad: off_axis.fold(0.0, f64::max),
-        interpolated: identify_interpolation(&motion, last, &placed),
+        interpolated: identify_interpolation(&motion, &placed),
         deviations: Vec::new(),
     };
     Some((line, motion))
@@ -165,11 +165,7 @@ fn commanded_line(
 
 /// Linear in Euler angles, rotation vector, quaternion components or matrix elements. `None` for a slerp,
 /// or if no candidate fits well.
-fn identify_interpolation(
-    motion: &PoseMotion,
-    last: &Pose,
-    placed: &[(f64, Rotation)],
-) -> Option<String> {
+fn identify_interpolation(motion: &PoseMotion, placed: &[(f64, Rotation)]) -> Option<String> {
     /// Rms; smaller deviations are a slerp with rounded numbers.
     const MIN_SLERP_DEVIATION_RAD: f64 = 5e-4;
     /// Share of the slerp's residual.
@@ -194,8 +190,7 @@ fn identify_interpolation(
         (rms(&|s| at_angle(blended(angle, s))), "matrix elements".to_owned()),
     ];
     let numbers = Convention::all().iter().map(|&convention| {
-        let [a, b] =
-            [&motion.from.rotation, &last.rotation].map(|rotation| convention.numbers(rotation));
+        let [a, b] = [motion.from, motion.to].map(|end| convention.numbers(&end.rotation));
         let by: [f64; 3] = std::array::from_fn(|at| match (convention, b[at] - a[at]) {
             (Convention::RotVec, by) => by,
             (_, by) => by - TAU * (by / TAU).round(),
@@ -239,7 +234,7 @@ fn line_deviation(
         poses_within(series, after.from_s, (after.from_s + END_S).min(after.to_s)),
     ];
     let [first, last] = [mean_pose(ends[0])?, mean_pose(ends[1])?];
-    let tip_from_point = commanded_point(motion, line, &first, &last)?;
+    let tip_from_point = motion.commanded_point(&first, &last)?;
     let measured_motion = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
     let is_same_motion = (measured_motion.length_m - motion.length_m).abs()
         <= MAX_LENGTH_DIFFERENCE.0 + MAX_LENGTH_DIFFERENCE.1 * motion.length_m
@@ -278,27 +273,23 @@ fn line_deviation(
     Some(LineDeviation { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }
 
-/// `tip_from_point`. `None` if the point cannot be located and its path may differ from the tip's.
-fn commanded_point(
-    motion: &PoseMotion,
-    line: &CommandedLine,
-    first: &Pose,
-    last: &Pose,
-) -> Option<Pose> {
-    /// The tip then counts as the commanded point.
-    const MAX_POINT_DISTANCE_M: f64 = 5e-3;
-    /// With less rotation, all points follow the same path.
-    const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
-    /// Between start and end, for one and the same point.
-    const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
-    let end = motion.from.translation.vector + motion.along * motion.length_m;
-    let commanded_last = Pose::from_parts(end.into(), motion.slerp(1.0));
-    let [at_first, at_last] = [first.inverse() * motion.from, last.inverse() * commanded_last]
-        .map(|point| point.translation.vector);
-    let far_m = at_first.norm().max(at_last.norm());
-    if far_m <= MAX_POINT_DISTANCE_M || line.turn_rad <= MIN_ROTATION_RAD {
-        return Some(Pose::identity());
+impl PoseMotion {
+    /// Commanded point in the tip's frame, from the tip's poses at both ends. `None` if the point cannot be located and its
+    /// path may differ from the tip's.
+    fn commanded_point(&self, first: &Pose, last: &Pose) -> Option<Pose> {
+        /// The tip then counts as the commanded point.
+        const MAX_POINT_DISTANCE_M: f64 = 5e-3;
+        /// With less rotation, all points follow the same path.
+        const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
+        /// Between start and end, for one and the same point.
+        const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
+        let [at_first, at_last] = [first.inv_mul(&self.from), last.inv_mul(&self.to)]
+            .map(|point| point.translation.vector);
+        let far_m = at_first.norm().max(at_last.norm());
+        if far_m <= MAX_POINT_DISTANCE_M || self.turn.norm() <= MIN_ROTATION_RAD {
+            return Some(Pose::identity());
+        }
+        let middle = Pose::from_parts(at_first.lerp(&at_last, 0.5).into(), Rotation::identity());
+        ((at_first - at_last).norm() <= MAX_POINT_DIFFERENCE_M).then_some(middle)
     }
-    let middle = Pose::from_parts(at_first.lerp(&at_last, 0.5).into(), Rotation::identity());
-    ((at_first - at_last).norm() <= MAX_POINT_DIFFERENCE_M).then_some(middle)
 }

@@ -17,14 +17,6 @@ use crate::{
 };
 use ground::stats::{Measured, lowest, mean};
 
-/// Position error of a joint per position of joint `by`. Columns of the joint track.
-#[derive(Clone, Copy)]
-struct Gain {
-    column: usize,
-    by: usize,
-    amount: f64,
-}
-
 /// Diagnosis with another scale or coupling of a joint. `None` if it is not likelier than `diagnosis`, which has no
 /// compliance and no changes, or if that has another encoding of the joint states.
 pub(crate) fn diagnose_with_gain(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
@@ -34,8 +26,8 @@ pub(crate) fn diagnose_with_gain(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Opti
     if !is_applicable {
         return None;
     }
-    let (gain, selection_price) = run.likeliest_gain(diagnosis)?;
-    let mut after = run.diagnose_encoded(gain.encoding());
+    let (encoding, selection_price) = run.likeliest_gain(diagnosis)?;
+    let mut after = run.diagnose_encoded(encoding);
     if let Ok(encoding) = &mut after.joints.encoding {
         let [as_logged, corrected] = [&diagnosis.streams[..], &after.streams[..]].map(rms_m);
         encoding.residual = Some(UnitResiduals { as_logged, corrected });
@@ -44,19 +36,23 @@ pub(crate) fn diagnose_with_gain(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Opti
 }
 
 impl ArmRun<'_> {
-    /// The gain that explains most of the residual, and the price of its selection. `None` if none is worth it.
-    fn likeliest_gain(&self, diagnosis: &ArmDiagnosis) -> Option<(Gain, f64)> {
+    /// Encoding with the position error of a joint, in proportion to the position of a joint, that explains most of the
+    /// residual, and the price of its selection. `None` if none is worth it.
+    fn likeliest_gain(&self, diagnosis: &ArmDiagnosis) -> Option<(JointEncoding, f64)> {
         let joints = diagnosis.joints.corrected_joints(self.joints, self.is_prismatic);
         let run = ArmRun { joints: &joints, ..*self };
         let samples = run.samples(diagnosis);
-        let gains = run.possible_gains();
+        let rotary = || (0..joints.dof).filter(|column| self.is_rotary(*column));
+        let driving = || rotary().filter(|by| travel(&joints, *by) > MIN_MOTION_RAD);
+        let gains: Vec<[usize; 2]> =
+            rotary().flat_map(|column| driving().map(move |by| [column, by])).collect();
         let middles: Vec<f64> =
             (0..joints.dof).map(|column| mean(joints.positions_of(column))).collect();
-        let coefficient = |gain: &Gain| {
-            let from_middle = |q: &Vec<f64>| q[gain.by] - middles[gain.by];
+        let coefficient = |&[column, by]: &[usize; 2]| {
+            let from_middle = |q: &Vec<f64>| q[by] - middles[by];
             let profiles =
                 samples.iter().map(|samples| samples.q.iter().map(from_middle).collect());
-            Coefficient { column: gain.column, profiles: profiles.collect() }
+            Coefficient { column, profiles: profiles.collect() }
         };
         let coefficients: Vec<Coefficient> = gains.iter().map(coefficient).collect();
         let system = ComplianceSystem::new(&samples, &coefficients);
@@ -64,28 +60,10 @@ impl ArmRun<'_> {
         let best = lowest(0..gains.len(), cost)?;
         let selection_price = 2.0 * (gains.len() as f64).ln();
         let gained = system.cost(&[]) - cost(&best);
-        let gain = Gain { amount: system.best_value(best), ..gains[best] };
+        let ([column, by], amount) = (gains[best], system.best_value(best));
         // Usual sag and eccentricity have a larger effect than a smaller gain.
-        let is_large = gain.amount.abs() * 0.5 * travel(&joints, gain.by) > USUAL_COMPLIANCE_RAD;
+        let is_large = amount.abs() * 0.5 * travel(&joints, by) > USUAL_COMPLIANCE_RAD;
         let is_worth_it = gained > system.price() + selection_price;
-        (is_large && is_worth_it).then_some((gain, selection_price))
-    }
-
-    /// Gains of each rotary joint by each one that moves. Their amounts are 0.
-    fn possible_gains(&self) -> Vec<Gain> {
-        let rotary = (0..self.joints.dof).filter(|column| self.is_rotary(*column));
-        let moves = |column: &usize| travel(self.joints, *column) > MIN_MOTION_RAD;
-        let driving: Vec<usize> = rotary.clone().filter(moves).collect();
-        let of_joint = |column: usize| {
-            driving.iter().map(move |&by| Gain { column, by, amount: 0.0 }).collect::<Vec<_>>()
-        };
-        rotary.flat_map(of_joint).collect()
-    }
-}
-
-impl Gain {
-    fn encoding(self) -> JointEncoding {
-        let Self { column, by, amount } = self;
         let mut encoding = JointEncoding::default();
         if column == by {
             let (unit, factor) = (JointUnit::Scaled, 1.0 + amount);
@@ -94,7 +72,7 @@ impl Gain {
             let factor = Measured { value: amount, std_error: 0.0, dof: 1.0 };
             encoding.couplings.push(JointCoupling { column, by, factor });
         }
-        encoding
+        (is_large && is_worth_it).then_some((encoding, selection_price))
     }
 }
 
