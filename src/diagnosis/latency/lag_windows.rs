@@ -3,6 +3,7 @@
 use super::correlation::lag_peaks;
 use super::speed_residual::SpeedPair;
 use crate::samples::sampling::rows_within;
+use std::collections::BTreeSet;
 
 /// Window with the lag of the highest correlation.
 pub(crate) struct LagWindow {
@@ -22,9 +23,8 @@ pub(crate) fn lag_windows(SpeedPair { arm, stream }: SpeedPair, max_lag_s: f64) 
     };
     let length_s = (0.25 * (end_s - begin_s)).clamp(MIN_LENGTH_S, MAX_LENGTH_S);
     let count = (2.0 * (end_s - begin_s) / length_s) as usize;
-    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
     let window = |index: usize| {
-        let from_s = from_s(index);
+        let from_s = begin_s + 0.5 * length_s * index as f64;
         let own = arm.at_rows(rows_within(&arm.t_s, from_s, from_s + length_s));
         // At the ends of the run, a lag can match a short common span by chance.
         let (first_s, last_s) = own.span_s()?;
@@ -37,15 +37,9 @@ pub(crate) fn lag_windows(SpeedPair { arm, stream }: SpeedPair, max_lag_s: f64) 
         let middle_s = from_s + 0.5 * length_s;
         Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
     };
-    let (mut windows, mut index) = (Vec::new(), 0);
-    while index < count {
-        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
-        let Some(next_s) = arm.t_s.get(next) else { break };
-        // Skip gaps, however long.
-        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
-        index = index.max(reaching.saturating_sub(1));
-        windows.extend(window(index));
-        index += 1;
-    }
-    windows
+    // Those with samples: gaps may be long.
+    let cells = arm.t_s.iter().map(|t_s| ((t_s - begin_s) / (0.5 * length_s)) as usize);
+    let indices = cells.flat_map(|cell| [cell.saturating_sub(1), cell]);
+    let indices: BTreeSet<usize> = indices.filter(|index| *index < count).collect();
+    indices.into_iter().filter_map(window).collect()
 }

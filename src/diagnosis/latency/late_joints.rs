@@ -49,19 +49,17 @@ impl LateJoints {
 
 /// Joints with those in `columns` shifted to the times of the others.
 pub fn with_earlier_joints(joints: &JointTrack, columns: &[usize], late_s: f64) -> JointTrack {
-    let mut moved = JointTrack { t_s: Vec::new(), q: Vec::new(), qd: Vec::new(), ..joints.clone() };
+    let (mut moved, mut rows) = (joints.clone(), Vec::new());
     let mut sequence = joints.sequence();
     for (row, t_s) in joints.t_s.iter().enumerate() {
         let Some((q, qd)) = sequence.at(t_s + late_s) else { continue };
-        let start = moved.q.len();
-        moved.t_s.push(*t_s);
-        moved.q.extend(joints.row(row));
-        moved.qd.extend(joints.velocities(row));
+        rows.push(row);
         for &column in columns {
-            (moved.q[start + column], moved.qd[start + column]) = (q[column], qd[column]);
+            let at = row * joints.dof + column;
+            (moved.q[at], moved.qd[at]) = (q[column], qd[column]);
         }
     }
-    moved
+    moved.at_rows(rows.into_iter())
 }
 
 /// Fit of a stream's positions with one latency for some joints and another for the others.

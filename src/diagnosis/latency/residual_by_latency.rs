@@ -3,6 +3,7 @@
 use crate::samples::sampling::FkSequence;
 use crate::{PoseDiagnosis, PoseStream};
 use ground::geometry::Vec3;
+use ground::stats::mean;
 use ground::stats::thin::thinned;
 use ground::stream::JointTrack;
 
@@ -30,32 +31,24 @@ pub fn residual_by_latency(
     let aligned = &diagnosis.aligned;
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
     let (skew, middle_s) = (diagnosis.chosen_skew(), aligned.middle_s());
-    let none =
-        |latency_s: &f64| LatencyResidual { latency_s: *latency_s, rms_m: 0.0, rms_rad: 0.0 };
-    let mut by_latency: Vec<LatencyResidual> = latencies_s.iter().map(none).collect();
-    let mut compared = 0;
     let mut sequence = FkSequence::new(joints, stream.chain, stream.columns);
-    for row in thinned(0..aligned.t_s.len(), MAX_SAMPLES) {
+    let of_row = |row: usize| -> Option<Vec<[Vec3; 2]>> {
         let stamp_s = aligned.t_s[row];
         let residual = |latency_s: &f64| {
             let fk = sequence.at(stamp_s - latency_s - skew * (stamp_s - middle_s))?;
             Some(aligned.residual(row, &fk))
         };
-        let residuals: Option<Vec<[Vec3; 2]>> = latencies_s.iter().map(residual).collect();
-        let Some(residuals) = residuals else { continue };
-        compared += 1;
-        for (sum, [shift, turn]) in by_latency.iter_mut().zip(residuals) {
-            sum.rms_m += shift.norm_squared();
-            sum.rms_rad += turn.norm_squared();
-        }
-    }
-    if compared < MIN_SAMPLES {
+        latencies_s.iter().map(residual).collect()
+    };
+    let rows: Vec<_> = thinned(0..aligned.t_s.len(), MAX_SAMPLES).filter_map(of_row).collect();
+    if rows.len() < MIN_SAMPLES {
         return Vec::new();
     }
-    for LatencyResidual { rms_m, rms_rad, .. } in &mut by_latency {
-        [*rms_m, *rms_rad] = [*rms_m, *rms_rad].map(|square| (square / compared as f64).sqrt());
-    }
-    by_latency
+    let at_latency = |(at, &latency_s): (usize, &f64)| {
+        let rms = |kind: usize| mean(rows.iter().map(|row| row[at][kind].norm_squared())).sqrt();
+        LatencyResidual { latency_s, rms_m: rms(0), rms_rad: rms(1) }
+    };
+    latencies_s.iter().enumerate().map(at_latency).collect()
 }
 
 /// Ascending, s. Extends beyond the estimate and zero; includes the estimate.

@@ -4,7 +4,7 @@ use super::windows::{BIN_S, Bin, Terms, Window, effective_count};
 use crate::priors::price_of_cause;
 use ground::stats::highest;
 use ground::stats::thin::thinned;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Vector6};
 
 /// Levels of a latency over time.
 pub(super) enum Basis {
@@ -130,10 +130,8 @@ impl Fit {
         let tie = TIE * matrix.trace() / n as f64;
         if matches!(basis, Basis::Steps(_) | Basis::Ramp(_) | Basis::Spline(_)) {
             for level in 1..n {
-                matrix[(level - 1, level - 1)] += tie;
-                matrix[(level, level)] += tie;
-                matrix[(level - 1, level)] -= tie;
-                matrix[(level, level - 1)] -= tie;
+                let mut pair = matrix.fixed_view_mut::<2, 2>(level - 1, level - 1);
+                pair += tie * Matrix2::new(1.0, -1.0, -1.0, 1.0);
             }
         }
         let information = matrix.cholesky()?;

@@ -111,12 +111,12 @@ impl Window {
         if samples.len() < MIN_SAMPLES {
             return None;
         }
-        let mean_residual = samples.iter().map(|sample| sample.residual).sum::<Vector6<f64>>() / n;
-        let mean_velocity = samples.iter().map(|sample| sample.velocity).sum::<Vector6<f64>>() / n;
-        let centred = |sample: &LatencySample| {
-            (sample.residual - mean_residual, sample.velocity - mean_velocity)
+        let mean_of = |of: fn(&LatencySample) -> Vector6<f64>| {
+            samples.iter().map(of).sum::<Vector6<f64>>() / n
         };
-        let centred: Vec<(Vector6<f64>, Vector6<f64>)> = samples.iter().map(centred).collect();
+        let means = [mean_of(|sample| sample.residual), mean_of(|sample| sample.velocity)];
+        let centred = samples.iter().map(|it| (it.residual - means[0], it.velocity - means[1]));
+        let centred: Vec<(Vector6<f64>, Vector6<f64>)> = centred.collect();
         let information: f64 = centred.iter().map(|(_, velocity)| velocity.norm_squared()).sum();
         let product: f64 = centred.iter().map(|(residual, velocity)| velocity.dot(residual)).sum();
         if information <= 0.0 {
@@ -125,7 +125,7 @@ impl Window {
         let delta_s = -product / information;
         let rest = centred.iter().map(|(residual, velocity)| residual + delta_s * velocity);
         let rest: Vec<Vector6<f64>> = rest.collect();
-        let constant_square: f64 = rest.iter().map(|rest| rest.norm_squared()).sum();
+        let constant_square: f64 = rest.iter().map(Vector6::norm_squared).sum();
         let lagged: f64 = rest.windows(2).map(|pair| pair[0].dot(&pair[1])).sum();
         let rho = (lagged / constant_square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
         // The slope and each component's mean use them up.
