@@ -6,7 +6,7 @@
 
 use crate::NotObservable;
 use ground::stats::{Measured, lowest, median_of};
-use ground::stream::bracket;
+use ground::stream::{bracket, hermite_basis};
 use nalgebra::{DMatrix, Matrix6, Vector6};
 
 /// One column or groups of three. Times are in s from the run's origin, strictly increasing.
@@ -71,14 +71,12 @@ impl TimeSeries {
         let before = bracket(&self.t_s, t_s, cursor)?;
         let from_s = self.t_s[before];
         let length_s = self.t_s[before + 1] - from_s;
-        let part = (t_s - from_s) / length_s;
+        let [start, start_slope, end, end_slope] = hermite_basis((t_s - from_s) / length_s);
+        let columns = self.columns.iter().zip(&self.slopes);
         let mut values = Vector6::zeros();
-        for (value, (column, slopes)) in
-            values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
-        {
-            let ends = |of: &[f64]| [of[before], of[before + 1]];
-            let slopes = ends(slopes).map(|slope| slope * length_s);
-            *value = hermite(part, ends(column), slopes);
+        for (value, (column, slopes)) in values.iter_mut().zip(columns) {
+            let by_slopes = start_slope * slopes[before] + end_slope * slopes[before + 1];
+            *value = start * column[before] + end * column[before + 1] + length_s * by_slopes;
         }
         (length_s <= self.longest_s).then_some(values)
     }
@@ -103,17 +101,6 @@ impl TimeSeries {
         };
         Self::new(self.t_s.clone(), self.columns.iter().map(filter).collect())
     }
-}
-
-/// At the fraction `part` of the interval.
-#[inline]
-fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
-    let (square, cube) = (part * part, part * part * part);
-    let rise = 3.0 * square - 2.0 * cube;
-    ends[0]
-        + rise * (ends[1] - ends[0])
-        + (cube - 2.0 * square + part) * slopes[0]
-        + (cube - square) * slopes[1]
 }
 
 /// Slopes of parabolas through each sample and its neighbours.

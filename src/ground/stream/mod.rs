@@ -17,5 +17,5 @@ pub use encoder_tick::{encoder_tick, is_whole};
 pub use times::{SharedTimes, Times};
 pub use tracks::{
     DeclaredUnits, ImuTrack, JointSequence, JointTrack, Orientations, PoseTrack, bracket,
-    sample_noise,
+    hermite_basis, sample_noise,
 };

@@ -133,8 +133,6 @@ impl JointSequence<'_> {
     /// Positions (cubic Hermite) and velocities (linear), one per joint. The slope of the cubic would amplify
     /// position noise. `None` outside the track and in gaps in which a joint moved: longer than 2 s, or than
     /// 0.1 s and ten adjacent intervals.
-    ///
-    /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
     pub fn at(&mut self, t_s: f64) -> Option<(&[f64], &[f64])> {
         let JointTrack { t_s: times, dof, q, qd, .. } = self.track;
         let left = bracket(times, t_s, &mut self.left)?;
@@ -143,9 +141,7 @@ impl JointSequence<'_> {
             return None;
         }
         let s = (t_s - times[left]) / h;
-        let (s2, s3) = (s * s, s * s * s);
-        let (h00, h10) = (2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s);
-        let (h01, h11) = (3.0 * s2 - 2.0 * s3, s3 - s2);
+        let [h00, h10, h01, h11] = hermite_basis(s);
         let rows = left * dof..(left + 2) * dof;
         let (qa, qb) = q[rows.clone()].split_at(*dof);
         let (va, vb) = qd[rows].split_at(*dof);
@@ -162,6 +158,14 @@ impl JointSequence<'_> {
     pub fn last(&self) -> (&[f64], &[f64]) {
         (&self.q, &self.qd)
     }
+}
+
+/// Weights of the start, its slope, the end and its slope in a cubic with these slopes, at a fraction of an interval of
+/// length 1 (Press et al., *Numerical Recipes*, 3rd ed., §3.3).
+#[inline]
+pub fn hermite_basis(s: f64) -> [f64; 4] {
+    let (s2, s3) = (s * s, s * s * s);
+    [2.0 * s3 - 3.0 * s2 + 1.0, s3 - 2.0 * s2 + s, 3.0 * s2 - 2.0 * s3, s3 - s2]
 }
 
 /// `i` with `t[i] ≤ t_s ≤ t[i+1]`, fastest near the last one; `None` outside `t`.
