@@ -128,6 +128,8 @@ struct LineFit {
     level: Measured,
     middle: f64,
     spread: f64,
+    /// Weighted sum.
+    squares: f64,
     log_likelihood: f64,
 }
 
@@ -135,27 +137,27 @@ impl LineFit {
     /// `None` if all of `x` are equal.
     fn fit(estimates: &[RunEstimate], x: &[f64]) -> Option<Self> {
         let dof = estimates.len() as f64 - 2.0;
-        let squares = |variance: f64| Self::with_variance(estimates, x, variance).map(|fit| fit.1);
+        let with = |variance: f64| Self::with_variance(estimates, x, variance);
+        let exceeds = |variance: f64| Some(with(variance)?.squares > dof);
+        if !exceeds(0.0)? {
+            return with(0.0);
+        }
+        // The squares decrease with the spread.
+        let mut low = 0.0;
         let mut high =
             estimates.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
-        let mut low = 0.0;
-        // Zero if the squares allow it, else bisect: they decrease with the spread.
-        if squares(0.0)? > dof {
-            while squares(high)? > dof {
-                high *= 4.0;
-            }
-            for _ in 0..100 {
-                let middle = 0.5 * (low + high);
-                if squares(middle)? > dof { low = middle } else { high = middle }
-            }
-        } else {
-            high = 0.0;
+        while exceeds(high)? {
+            high *= 4.0;
         }
-        Some(Self::with_variance(estimates, x, high)?.0)
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            if exceeds(middle)? { low = middle } else { high = middle }
+        }
+        with(high)
     }
 
-    /// Fit with this variance between runs, and its weighted sum of squares.
-    fn with_variance(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<(Self, f64)> {
+    /// Fit with this variance between runs.
+    fn with_variance(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
         let row = |(one, &x): (&RunEstimate, &f64)| {
             (1.0 / (one.std_error.powi(2) + variance), x, one.value)
         };
@@ -173,14 +175,14 @@ impl LineFit {
         let logs: f64 = rows().map(|(w, ..)| -w.ln()).sum();
         let dof = estimates.len() as f64 - 2.0;
         let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
-        let fit = Self {
+        Some(Self {
             slope: measured(slope, 1.0 / across),
             level: measured(level, 1.0 / weight),
             middle,
             spread: variance.sqrt(),
+            squares,
             log_likelihood: -0.5 * (logs + squares),
-        };
-        Some((fit, squares))
+        })
     }
 }
 

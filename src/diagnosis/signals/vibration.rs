@@ -169,8 +169,7 @@ pub fn vibration_path(
 
 /// Median interval, s.
 fn period(t_s: &[f64]) -> Option<f64> {
-    let period_s = median_of(t_s.windows(2).map(|pair| pair[1] - pair[0]))?;
-    (period_s > 0.0).then_some(period_s)
+    median_of(t_s.windows(2).map(|pair| pair[1] - pair[0])).filter(|period_s| *period_s > 0.0)
 }
 
 /// Ratio for the power of three axes of noise: χ² with six degrees of freedom.
