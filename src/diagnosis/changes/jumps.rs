@@ -43,11 +43,9 @@ pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> 
     };
     let steps: Vec<[Vec3; 2]> = (1..poses.len()).map(step).collect();
     let of_kind = |kind: usize| {
-        let deviation_from_neighbours = |at: usize| {
-            (steps[at][kind] - 0.5 * (steps[at - 1][kind] + steps[at + 1][kind])).norm()
-        };
-        let sizes = (1..steps.len().saturating_sub(1)).map(deviation_from_neighbours).collect();
-        jumps_in_differences(&t_s, sizes, FLOOR_M)
+        let step = |row: usize| steps[row - 1][kind];
+        let deviation = |row: usize| (step(row) - 0.5 * (step(row - 1) + step(row + 1))).norm();
+        jumps_in_steps(&t_s, FLOOR_M, deviation)
     };
     [of_kind(0), of_kind(1)].concat()
 }
@@ -57,25 +55,23 @@ pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> 
 pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
     /// In rad or m.
     const MIN_JUMP: f64 = 1e-3;
-    let rows = joints.len();
     let gap_s = min_gap_s(&joints.t_s);
     let q = |row: usize, column: usize| joints.row(row)[column];
     let of_joint = |column: usize| {
         let step = |row: usize| q(row, column) - q(row - 1, column);
-        let deviation_from_neighbours =
-            |row: usize| match joints.t_s[row + 1] - joints.t_s[row - 2] > gap_s {
-                true => 0.0,
-                false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
-            };
-        let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(deviation_from_neighbours).collect();
-        jumps_in_differences(&joints.t_s, sizes, MIN_JUMP / MIN_JUMP_RATIO)
+        let deviation = |row: usize| match joints.t_s[row + 1] - joints.t_s[row - 2] > gap_s {
+            true => 0.0,
+            false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
+        };
+        jumps_in_steps(&joints.t_s, MIN_JUMP / MIN_JUMP_RATIO, deviation)
     };
     strongest((0..joints.dof).flat_map(of_joint).collect())
 }
 
-/// `sizes` are differences between each step and the mean of its neighbours, from the second step on.
-fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
+/// `deviation` is that of the step to each row from the mean of its neighbours.
+fn jumps_in_steps(t_s: &[f64], floor: f64, deviation: impl Fn(usize) -> f64) -> Vec<Jump> {
     const USUAL_QUANTILE: f64 = 0.95;
+    let sizes: Vec<f64> = (2..t_s.len().saturating_sub(1)).map(deviation).collect();
     let usual = quantile(&mut sizes.clone(), USUAL_QUANTILE).unwrap_or(0.0) + floor;
     let jump = |(at, size): (usize, f64)| {
         let (before_s, after_s) = (t_s[at + 1], t_s[at + 2]);

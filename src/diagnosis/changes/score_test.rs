@@ -58,18 +58,14 @@ pub(super) struct ChangeKind {
 }
 
 impl ChangeKind {
-    const fn new(causes: Causes, with_drifts: bool) -> Self {
-        Self { causes, with_drifts }
-    }
-
     /// One at a time, steps of several joints look like a frame, a frame that returns looks like a joint, and several steps
     /// look like a ramp.
     pub const ALL: [Self; 5] = [
-        Self::new(Causes::Any, false),
-        Self::new(Causes::Frames, false),
-        Self::new(Causes::Zeros, false),
-        Self::new(Causes::Any, true),
-        Self::new(Causes::Zeros, true),
+        Self { causes: Causes::Any, with_drifts: false },
+        Self { causes: Causes::Frames, with_drifts: false },
+        Self { causes: Causes::Zeros, with_drifts: false },
+        Self { causes: Causes::Any, with_drifts: true },
+        Self { causes: Causes::Zeros, with_drifts: true },
     ];
 }
 
