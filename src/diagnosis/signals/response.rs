@@ -122,6 +122,8 @@ pub(crate) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
 struct DelayFit {
     /// Response = gains · reference, within each group of columns.
     gains: Matrix6<f64>,
+    /// Mean of the columns' own gains.
+    mean_gain: f64,
     /// Over the windows used.
     unexplained_share: f64,
     /// Windows covered by the reference.
@@ -159,11 +161,6 @@ impl ResponseChanges {
         changes
     }
 
-    /// Three for vectors, otherwise one.
-    fn group(&self) -> usize {
-        if self.width.is_multiple_of(3) { 3 } else { 1 }
-    }
-
     /// Reference changes over windows `delay_s` earlier.
     pub fn references(&self, reference: &TimeSeries, delay_s: f64) -> Vec<Option<Vector6<f64>>> {
         let mut cursors = [0; 2];
@@ -177,7 +174,8 @@ impl ResponseChanges {
 
     /// A single column has at least `min_gain`.
     fn fit(&self, references: &[Option<Vector6<f64>>], min_gain: f64) -> DelayFit {
-        let size = self.group();
+        // Vectors have three columns.
+        let size = if self.width.is_multiple_of(3) { 3 } else { 1 };
         let (mut normal, mut right) = (Matrix6::zeros(), Matrix6::zeros());
         let (mut total, mut used) = (Vector6::zeros(), 0);
         for (by, reference) in self.changes.iter().zip(references) {
@@ -206,7 +204,8 @@ impl ResponseChanges {
         }
         let total = total.sum();
         let unexplained_share = if total > 0.0 { residual / total } else { 1.0 };
-        DelayFit { gains, unexplained_share, used }
+        let mean_gain = gains.trace() / self.width.max(1) as f64;
+        DelayFit { gains, mean_gain, unexplained_share, used }
     }
 
     fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
@@ -287,15 +286,10 @@ impl ResponseChanges {
         ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
     }
 
-    /// Diagonal gains, over all columns.
-    fn mean_gain(&self, fit: &DelayFit) -> f64 {
-        fit.gains.trace() / self.width.max(1) as f64
-    }
-
     /// Gain of either sign at zero delay, and unexplained share.
     pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
         let fit = self.fit(&self.references(reference, 0.0), f64::NEG_INFINITY);
-        (self.mean_gain(&fit), fit.unexplained_share)
+        (fit.mean_gain, fit.unexplained_share)
     }
 
     /// Response to `reference`, for delays within ±`max_delay_s`.
@@ -314,28 +308,24 @@ impl ResponseChanges {
         let lengths_s = self.windows.iter().map(|(from_s, to_s)| to_s - from_s);
         let step_s = (median_of(lengths_s).unwrap_or(0.1) / 4.0).max(5e-3);
         let steps = (max_delay_s / step_s).ceil() as i64;
-        let tried = |step: i64| step as f64 * step_s;
-        let residuals: Vec<f64> =
-            (-steps..=steps).map(|step| self.unexplained_at(reference, tried(step))).collect();
-        let is_low = |at: usize| {
-            let residual_at =
-                |at: Option<usize>| at.and_then(|at| residuals.get(at)).copied().unwrap_or(1.0);
-            residuals[at] <= residual_at(at.checked_sub(1))
-                && residuals[at] < residual_at(Some(at + 1))
+        let tested =
+            (-steps..=steps).map(|step| self.unexplained_at(reference, step as f64 * step_s));
+        let tested: Vec<f64> = std::iter::once(1.0).chain(tested).chain([1.0]).collect();
+        let is_low = |around: &[f64]| around[1] <= around[0] && around[1] < around[2];
+        let lows = tested.windows(3).zip(-steps..).filter(|(around, _)| is_low(around));
+        let refined = |(_, step): (&[f64], i64)| {
+            let middle_s = step as f64 * step_s;
+            self.refined(reference, (middle_s - step_s, middle_s + step_s), DELAY_RESOLUTION_S)
         };
-        let refined = |at: usize| {
-            let middle = tried(at as i64 - steps);
-            self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
-        };
-        let lows = (0..residuals.len()).filter(|&at| is_low(at));
         let lows: Vec<(f64, f64)> = lows.map(refined).collect();
         let Some(&(delay_s, min_residual)) = lowest(&lows, |low| low.1) else {
             return Err(NotObservable::DoesNotFollow(0.0));
         };
-        let (low_pass_s, delay_s, residuals) =
+        let (low_pass_s, delay_s, unexplained) =
             self.fit_low_pass(reference, (delay_s, min_residual), max_delay_s);
-        if 1.0 - residuals < MIN_EXPLAINED_SHARE {
-            return Err(NotObservable::DoesNotFollow((1.0 - residuals).max(0.0).sqrt()));
+        let explained = 1.0 - unexplained;
+        if explained < MIN_EXPLAINED_SHARE {
+            return Err(NotObservable::DoesNotFollow(explained.max(0.0).sqrt()));
         }
         let is_competitor = |low: &&(f64, f64)| {
             low.1 < COMPETITOR_TOLERANCE.0 * min_residual + COMPETITOR_TOLERANCE.1
@@ -350,8 +340,8 @@ impl ResponseChanges {
         Ok(Response {
             delay_s: Measured { value: delay_s + low_pass_s, std_error, dof },
             low_pass_s,
-            gain: self.mean_gain(&self.fit_at(reference, delay_s)),
-            explained: 1.0 - residuals,
+            gain: self.fit_at(reference, delay_s).mean_gain,
+            explained,
         })
     }
 

@@ -4,7 +4,7 @@
 
 use super::response::{ResponseChanges, TimeSeries, slopes};
 use crate::latency::correlation::median_period_s;
-use crate::samples::sampling::{check_sample_count, range_of, row_blocks};
+use crate::samples::sampling::{check_sample_count, row_blocks, value_range};
 use crate::{NotObservable, Response};
 use ground::stats::{Measured, cumulative, lowest, mean, quantile};
 use ground::stream::sample_noise;
@@ -82,11 +82,11 @@ pub fn diagnose_velocity(
     let own = joints.get(index).ok_or(NotObservable::AtRest)?;
     let windows = VelocityWindows::from_samples(own)?;
     let VelocityWindows { window_s, noise, ref changes, ref moved } = windows;
-    let rate_square = mean_square(moved) - 2.0 * noise.position;
-    let by_noise = noise.window_variance(window_s, mean_square(moved)) / rate_square;
+    let moved_square = mean_square(moved.iter().copied());
+    let rate_square = moved_square - 2.0 * noise.position;
+    let by_noise = noise.window_variance(window_s, moved_square) / rate_square;
     let error_of = |moved: &mut dyn Iterator<Item = f64>| {
-        let errors: Vec<f64> = changes.changes.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
-        mean_square(&errors) / rate_square
+        mean_square(changes.changes.iter().zip(moved).map(|(by, q)| by[0] - q)) / rate_square
     };
     let as_recorded = error_of(&mut moved.iter().copied());
     let half_s = 0.5 * median_period_s(own.t_s);
@@ -96,12 +96,9 @@ pub fn diagnose_velocity(
         let shifted = changes.references(&curve, delay_s).into_iter();
         error_of(&mut shifted.map(|at| at.map_or(f64::NAN, |at| at[0])))
     });
-    let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
-        shifted if shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR => {
-            shifted.min(as_recorded)
-        }
-        _ => as_recorded,
-    };
+    let shifted = of_difference.into_iter().fold(f64::INFINITY, f64::min);
+    let is_difference = shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR;
+    let square = if is_difference { shifted.min(as_recorded) } else { as_recorded };
     let square = (square - by_noise).max(0.0);
     let value = square.sqrt();
     // Noise variance is known to ±50 %. Overlapping windows count once.
@@ -125,8 +122,9 @@ pub fn diagnose_velocity(
 }
 
 /// Of finite values.
-fn mean_square(values: &[f64]) -> f64 {
-    mean(values.iter().filter(|value| value.is_finite()).map(|value| value * value))
+fn mean_square(values: impl IntoIterator<Item = f64>) -> f64 {
+    let finite = values.into_iter().filter(|value| value.is_finite());
+    mean(finite.map(|value| value * value))
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -174,16 +172,42 @@ impl VelocityWindows {
         check_sample_count(known.len(), MIN_WINDOWS)?;
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
-        let [lowest, highest] = range_of(q.iter().copied());
-        let integrals = integrals(&t_s, &v);
         let noise = noise(&t_s, &q, &v);
-        if highest - lowest < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
+        if value_range(q.iter().copied()) < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
             return Err(NotObservable::AtRest);
         }
+        let gap_s = MIN_GAP_INTERVALS * median_period_s(&t_s);
+        // Unknown velocity in a gap, unknown position across a break.
+        let is_gap = |pair: &&[f64]| {
+            let mut breaks = joint.breaks.iter();
+            pair[1] - pair[0] > gap_s || breaks.any(|at| (pair[0]..=pair[1]).contains(at))
+        };
+        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
+        let is_whole = |(window, _): &((f64, f64), Vector6<f64>)| {
+            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
+            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
+        };
+        let span_s = (t_s[0], t_s[t_s.len() - 1]);
+        let [cubic, linear] = integrals(&t_s, &v);
+        let columns = [cubic, linear, q];
+        let with_length = |window_s: f64| {
+            let all = ResponseChanges::from_windows(&t_s, &columns, span_s, window_s);
+            let whole = all.windows.into_iter().zip(all.changes).filter(is_whole);
+            let (windows, by): (Vec<_>, Vec<Vector6<f64>>) = whole.unzip();
+            let changes = by.iter().map(|by| Vector6::ith(0, by[0])).collect();
+            // The variance due to interpolation.
+            let between = mean(by.iter().map(|by| (0.5 * (by[0] - by[1])).powi(2)));
+            Self {
+                window_s,
+                changes: ResponseChanges { windows, changes, width: 1 },
+                moved: by.iter().map(|by| by[2]).collect(),
+                noise: Noise { between, ..noise },
+            }
+        };
         let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
-            let found = Self::over(&integrals, (&t_s, &q), joint.breaks, noise, window_s);
-            let square = mean_square(&found.moved);
+            let found = with_length(window_s);
+            let square = mean_square(found.moved.iter().copied());
             let is_clear = found.noise.window_variance(window_s, square)
                 <= MAX_NOISE_RATIO * MAX_NOISE_RATIO * square;
             if is_clear || window_s >= WINDOW_LENGTH_LIMITS_S.1 {
@@ -193,51 +217,18 @@ impl VelocityWindows {
             window_s = (WINDOW_GROWTH * window_s).min(WINDOW_LENGTH_LIMITS_S.1.max(window_s));
         }
     }
-
-    /// Changes of the cubic integral and of the position, and the variance due to interpolation.
-    fn over(
-        [cubic, linear]: &[Vec<f64>; 2],
-        (t_s, q): (&[f64], &[f64]),
-        breaks: &[f64],
-        noise: Noise,
-        window_s: f64,
-    ) -> Self {
-        let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
-        let columns = [cubic.clone(), linear.clone(), q.to_vec()];
-        let all = ResponseChanges::from_windows(t_s, &columns, span, window_s);
-        let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
-        // Unknown velocity in a gap, unknown position across a break.
-        let is_gap = |pair: &&[f64]| {
-            pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
-        };
-        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
-        let is_whole = |(window, _): &((f64, f64), Vector6<f64>)| {
-            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
-            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
-        };
-        let whole = all.windows.into_iter().zip(all.changes).filter(is_whole);
-        let (windows, by): (Vec<_>, Vec<Vector6<f64>>) = whole.unzip();
-        let changes = by.iter().map(|by| Vector6::ith(0, by[0])).collect();
-        let between = mean(by.iter().map(|by| (0.5 * (by[0] - by[1])).powi(2)));
-        Self {
-            window_s,
-            changes: ResponseChanges { windows, changes, width: 1 },
-            moved: by.iter().map(|by| by[2]).collect(),
-            noise: Noise { between, ..noise },
-        }
-    }
 }
 
 fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     let period_s = median_period_s(t_s);
     let jitter = t_s.windows(2).map(|pair| pair[1] - pair[0] - period_s);
-    let jitter: Vec<f64> = jitter.map(|late_s| late_s.clamp(-period_s, period_s)).collect();
-    let second_differences: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
+    let jitter = jitter.map(|late_s| late_s.clamp(-period_s, period_s));
+    let second_differences = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]);
     let quantum = quantisation_step(q);
     Noise {
         position: sample_noise(q).powi(2).max(quantum * quantum / 12.0),
-        velocity: mean_square(&second_differences) / 6.0 * period_s,
-        stamp: 0.5 * mean_square(&jitter),
+        velocity: mean_square(second_differences) / 6.0 * period_s,
+        stamp: 0.5 * mean_square(jitter),
         between: 0.0,
     }
 }
@@ -296,13 +287,13 @@ fn shape(
     const MAX_RESIDUAL_RATIO: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
-    let (square, rates) = (mean_square(&by), mean_square(moved));
+    let [square, rates] = [&by, moved].map(|values| mean_square(values.iter().copied()));
     if square <= by_noise {
         return VelocityShape::Zero;
     }
-    let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
+    let errors = by.iter().zip(moved).map(|(by, moved)| by - moved);
     // As a share of the response's energy.
-    let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise) / square;
+    let allowed = (MAX_RESIDUAL_RATIO * mean_square(errors) + by_noise) / square;
     let allowed = allowed.min(MAX_RESIDUAL_RATIO);
     let (gain, residual) = changes.gain(curve);
     if residual <= allowed {
