@@ -368,29 +368,22 @@ fn joint_map(
     }
     let dof = run.arm.joints.dof;
     let order = joint_order(own, dof);
-    let probe = JointTrack {
-        t_s: vec![0.0, 1.0],
-        dof,
-        q: [vec![0.0; dof], vec![1.0; dof]].concat(),
-        qd: vec![0.0; 2 * dof],
-        noise: Vec::new(),
-    };
     // Zeros are no encoding.
-    let decoded = |joints: &JointDiagnosis| {
-        let encoding = joints.encoding.clone();
-        let scales = joints.scales.clone();
+    let decoded = |joints: &JointDiagnosis, q: f64| {
+        let (q, qd) = (vec![q; dof], vec![0.0; dof]);
+        let probe = JointTrack { t_s: vec![0.0], dof, q, qd, noise: Vec::new() };
+        let (encoding, scales) = (joints.encoding.clone(), joints.scales.clone());
         JointDiagnosis::without_changes(encoding, own.offsets.clone(), scales)
             .corrected_joints(&probe, run.arm.is_prismatic)
+            .q
     };
-    let (by_own, by_other) = (decoded(own), decoded(other));
+    let [[zero, one], [zero_other, one_other]] =
+        [own, other].map(|joints| [0.0, 1.0].map(|q| decoded(joints, q)));
     let map = |column: usize| {
-        let at = |row: usize| {
-            let at = row * dof + order[column];
-            (by_own.q[at], by_other.q[at])
-        };
-        let ((zero, zero_other), (one, one_other)) = (at(0), at(1));
-        let factor = one - zero;
-        (column, (one_other - zero_other) / factor, (zero_other - zero) / factor)
+        let joint = order[column];
+        let factor = one[joint] - zero[joint];
+        let difference = one_other[joint] - zero_other[joint];
+        (column, difference / factor, (zero_other[joint] - zero[joint]) / factor)
     };
     let is_changed = |&(_, factor, offset): &(usize, f64, f64)| {
         let is_identity = (factor - 1.0).abs() < 1e-12 && offset.abs() < 1e-12;

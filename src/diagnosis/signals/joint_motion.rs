@@ -161,16 +161,6 @@ pub enum JointSampleKind {
     Velocities,
 }
 
-impl JointSampleKind {
-    /// Of the derivative that is an acceleration.
-    fn order(self) -> i32 {
-        match self {
-            Self::Positions => 2,
-            Self::Velocities => 1,
-        }
-    }
-}
-
 /// Largest acceleration of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeakAcceleration {
@@ -244,9 +234,9 @@ pub fn peak_acceleration(
         let accelerations = fit.along(values);
         for (row, acceleration) in (half..).zip(accelerations.iter().map(|a| a.abs())) {
             let is_surer = |acceleration: f64, floor: f64| {
-                let excess = |best: &PeakAcceleration| best.acceleration - best.noise;
-                let surer = |best: &PeakAcceleration| acceleration - floor > excess(best);
-                acceleration.is_finite() && surest.as_ref().is_none_or(surer)
+                let surer =
+                    |best: PeakAcceleration| acceleration - floor > best.acceleration - best.noise;
+                acceleration.is_finite() && surest.is_none_or(surer)
             };
             let is_even = uneven[row + half] == uneven[row - half];
             if !is_even || !is_surer(acceleration, least_floor) {
@@ -434,7 +424,10 @@ struct Fit {
 
 impl Fit {
     fn new(half: usize, period_s: f64, series: JointSampleKind) -> Self {
-        let order = series.order();
+        let order = match series {
+            JointSampleKind::Positions => 2,
+            JointSampleKind::Velocities => 1,
+        };
         let power = |at: usize| (at as f64 - half as f64).powi(order);
         let mean = mean((0..=2 * half).map(power));
         let shape = |at: usize| power(at) - mean;
