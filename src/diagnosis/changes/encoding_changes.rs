@@ -168,20 +168,16 @@ impl Segments {
             return None;
         }
         let max_residual_m = (MAX_RESIDUAL_RATIO * residual).max(RESIDUAL_FLOOR_M);
-        let explained = |span: Span| {
-            let segment = diagnose(span);
-            let is_explained = residual_m(&segment.found) <= max_residual_m;
-            (is_explained && longest.is_comparable(&segment)).then_some(segment)
+        let is_explained = |segment: &Segment| {
+            residual_m(&segment.found) <= max_residual_m && longest.is_comparable(segment)
         };
+        let explained = |span: Span| Some(diagnose(span)).filter(is_explained);
         let mut others: Vec<Segment> = Vec::new();
         for &span in spans.iter().filter(|span| **span != longest.span) {
-            let segment = match explained(span) {
-                Some(segment) => segment,
-                None => {
-                    let before = others.pop_if(|before| before.span.1 == span.0)?;
-                    explained((before.span.0, span.1))?
-                }
-            };
+            let segment = explained(span).or_else(|| {
+                let before = others.pop_if(|before| before.span.1 == span.0)?;
+                explained((before.span.0, span.1))
+            })?;
             others.push(segment);
         }
         Some(Self { longest, others })

@@ -295,7 +295,7 @@ pub(crate) fn fit_profile(
     let with_s = |t_s: f64| latency.at(t_s) - compensated.at(t_s);
     let noise = noise(&samples);
     let [before, after] = [latency_samples, &samples].map(|samples| normalized(samples, noise));
-    profile.is_unsteady = explains_residual((&before, &without_s), (&after, &with_s));
+    profile.is_unsteady = explains_excess(excess(&before, without_s), excess(&after, with_s));
     Ok(profile)
 }
 
@@ -320,23 +320,15 @@ fn likeliest_profile(windows: &[Window]) -> EstimateResult<(LatencyProfile, Skew
     Ok((profile, SkewedLatency { levels, skew, middle_s: middle_s(windows) }))
 }
 
-/// Latency that remains at a stamp of samples.
-type RemainingLatency<'a> = (&'a [LatencySample], &'a dyn Fn(f64) -> f64);
-
-/// Whether samples `with` a profile leave far less than those `without` it.
-fn explains_residual(without: RemainingLatency, with: RemainingLatency) -> bool {
-    // Residuals are scaled to unit noise.
-    let excess = |(samples, remaining_s): RemainingLatency| {
-        [0, 1].map(|kind| {
-            let squares = samples.iter().map(|sample| {
-                let residual = sample.residual + remaining_s(sample.t_s) * sample.velocity;
-                residual.fixed_rows::<3>(3 * kind).norm_squared()
-            });
-            let squares: f64 = squares.sum();
-            (squares / (3.0 * samples.len() as f64) - 1.0).max(0.0)
-        })
-    };
-    explains_excess(excess(without), excess(with))
+/// Squared residual of each kind beyond the noise, which is 1, if this latency remains at a stamp of samples.
+fn excess(samples: &[LatencySample], remaining_s: impl Fn(f64) -> f64) -> [f64; 2] {
+    [0, 1].map(|kind| {
+        let squares = samples.iter().map(|sample| {
+            let residual = sample.residual + remaining_s(sample.t_s) * sample.velocity;
+            residual.fixed_rows::<3>(3 * kind).norm_squared()
+        });
+        (squares.sum::<f64>() / (3.0 * samples.len() as f64) - 1.0).max(0.0)
+    })
 }
 
 /// Whether the excess residual falls to less than half, and increases neither for positions nor for rotations. A model error
