@@ -8,9 +8,9 @@ use crate::diagnosis::{
     DhStreamResiduals, EncodingEstimate, EncodingSpans, ErrorMagnitude, ErrorSize, FkError,
     FrameCorrection, FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck,
     JointDiagnosis, JointEncoding, JointOffset, LatencyProfile, LineDeviation, Measured,
-    MeasuredLength, PartError, PeakAcceleration, PiecewiseLatency, PoseDiagnosis, PoseEncoding,
-    ResidualCheck, Response, RestError, SampleNoise, StreamHeldOut, StreamResidual,
-    VelocityDiagnosis, VelocityShape, Vibration, YawProfile,
+    MeasuredLength, PartError, PeakAcceleration, PoseDiagnosis, PoseEncoding, ResidualCheck,
+    Response, RestError, SampleNoise, StreamHeldOut, StreamResidual, VelocityDiagnosis,
+    VelocityShape, Vibration, YawProfile,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointAxes, JointEvidence, JointMotion,
@@ -354,14 +354,5 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
 }
 
 pub fn steady() -> LatencyProfile {
-    LatencyProfile {
-        swing_s: precise(0.0),
-        is_unsteady: false,
-        shape: crate::diagnosis::LatencyShape::Steady,
-        skew: 0.0,
-        steps: Vec::new(),
-        levels: PiecewiseLatency::default(),
-        windows: Vec::new(),
-        parameters: 0,
-    }
+    LatencyProfile { swing_s: precise(0.0), ..LatencyProfile::default() }
 }

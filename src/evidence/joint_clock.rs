@@ -122,11 +122,11 @@ impl OtherClock<'_> {
             swing_s: self.profile.swing_s.scaled(-1.0),
             is_unsteady: true,
             shape: LatencyShape::Steps,
-            skew: 0.0,
             steps: steps.iter().map(opposite).collect(),
             levels: PiecewiseLatency::with_steps(&levels),
             windows: windows.map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
             parameters: self.profile.parameters,
+            ..LatencyProfile::default()
         })
     }
 }
@@ -208,11 +208,10 @@ mod tests {
             swing_s: size_s,
             is_unsteady: true,
             shape: LatencyShape::Steps,
-            skew: 0.0,
             steps: vec![LatencyStep { at_s, size_s }],
             levels: PiecewiseLatency::with_steps(&[(0.0, levels[0]), (at_s, levels[1])]),
-            windows: Vec::new(),
             parameters: 2,
+            ..LatencyProfile::default()
         }
     }
 

@@ -35,9 +35,10 @@ use shapes::{Basis, Fit, likeliest_shape, middle_s};
 use windows::{Window, noise, normalized, windows};
 
 /// Kind of latency profile.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum LatencyShape {
     /// Constant.
+    #[default]
     Steady,
     /// Steps between constant levels.
     Steps,
@@ -56,7 +57,7 @@ pub enum LatencyShape {
 
 /// Latency profile of a stream. Latencies are relative to the stream's estimated latency, in s; times are
 /// in s from the run's origin.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyProfile {
     /// Size of the variation, s: signed for steps (largest) and ramps; range if it wanders or depends on
     /// load; scatter beyond chance if steady.
@@ -371,16 +372,8 @@ fn steady_profile(windows: &[Window]) -> LatencyProfile {
     // Inflate the error by excess scatter (Birge 1932).
     let scatter = (excess.sum::<f64>() / count).max(0.0).sqrt();
     let std_error = typical_std_error_s(windows).hypot(scatter);
-    LatencyProfile {
-        swing_s: Measured { value: scatter, std_error, dof: count },
-        is_unsteady: false,
-        shape: LatencyShape::Steady,
-        skew: 0.0,
-        steps: Vec::new(),
-        levels: PiecewiseLatency::default(),
-        windows: measured,
-        parameters: 0,
-    }
+    let swing_s = Measured { value: scatter, std_error, dof: count };
+    LatencyProfile { swing_s, windows: measured, ..LatencyProfile::default() }
 }
 
 /// Windows in which the latency is about as certain as usual.

@@ -168,47 +168,45 @@ impl CoarseLatencyChange {
     pub fn profile(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
         /// For merging a remaining jump with a step.
         const MAX_MERGE_DISTANCE_S: f64 = 2.0;
-        let coarse =
-            |value: f64| Measured { value, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
-        let fine = found.as_ref().ok();
-        let absolute = self.levels();
+        let fine = found.as_ref().ok().cloned().unwrap_or_default();
         let retained_s = self.retained_s();
+        let levels = self.levels().into_iter();
         let levels: Vec<(f64, f64)> =
-            absolute.iter().map(|(from_s, lag_s)| (*from_s, lag_s - retained_s)).collect();
+            levels.map(|(from_s, lag_s)| (from_s, lag_s - retained_s)).collect();
         let begins: Vec<f64> = levels.iter().map(|(from_s, lag_s)| from_s - lag_s).collect();
-        let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
         let level = |index: usize| {
             let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
-            mean(windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
+            mean(fine.windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
         };
         let step = |index: usize| {
-            let (at_s, coarse_s) = (levels[index].0, absolute[index].1 - absolute[index - 1].1);
+            let (at_s, coarse_s) = (levels[index].0, levels[index].1 - levels[index - 1].1);
             let size_s = match (level(index - 1), level(index)) {
                 (Some(before), Some(after)) => Measured {
                     value: coarse_s + after.value - before.value,
                     std_error: before.std_error.hypot(after.std_error),
                     dof: before.dof + after.dof,
                 },
-                _ => coarse(coarse_s),
+                _ => {
+                    Measured { value: coarse_s, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY }
+                }
             };
             LatencyStep { at_s, size_s }
         };
         let mut jumps: Vec<LatencyStep> = (1..levels.len()).map(step).collect();
-        let is_near_step = |jump: &&LatencyStep| {
+        let is_clear = |jump: &&LatencyStep| {
             begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > MAX_MERGE_DISTANCE_S)
         };
-        let fine_steps = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
-        jumps.extend(fine_steps.iter().filter(is_near_step));
+        jumps.extend(fine.steps.iter().filter(|_| fine.is_unsteady).filter(is_clear));
         jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         LatencyProfile {
-            swing_s: largest(&jumps).unwrap_or(coarse(0.0)),
+            swing_s: largest(&jumps).unwrap_or_default(),
             is_unsteady: true,
             shape: LatencyShape::Steps,
             skew: 0.0,
             levels: PiecewiseLatency::with_steps(&levels),
-            windows: windows.to_vec(),
             parameters: 2 * jumps.len(),
             steps: jumps,
+            ..fine
         }
     }
 }
