@@ -248,7 +248,8 @@ pub(crate) fn correlation_by_lag(
         return Vec::new();
     }
     let lags = (max_lag_s.min(covered_s / 3.0) / step).floor() as usize;
-    let mut sums = CorrelationSums::zeros(2 * lags + 1);
+    let mut sums =
+        CorrelationSums { sums: std::array::from_fn(|_| vec![0.0; 2 * lags + 1]), known: [0.0; 2] };
     for (start, end) in unbroken_spans {
         let count = ((end - start) / step) as usize + 1;
         // A late stream describes the piece after its end.
@@ -284,14 +285,11 @@ struct SpeedGrid {
 impl SpeedGrid {
     /// Interpolates across gaps up to `longest_s`.
     fn resample(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
-        let (mut left, mut grid) = (0, Self { value: vec![0.0; count], known: vec![0.0; count] });
-        for (at, (value, known)) in grid.value.iter_mut().zip(&mut grid.known).enumerate() {
-            let interpolated = speed.at(start + at as f64 * step, longest_s, &mut left);
-            if let Some(interpolated) = interpolated {
-                (*value, *known) = (interpolated, 1.0);
-            }
-        }
-        grid
+        let mut left = 0;
+        let at = |row: usize| speed.at(start + row as f64 * step, longest_s, &mut left);
+        let values = (0..count).map(at).map(|value| value.map_or((0.0, 0.0), |value| (value, 1.0)));
+        let (value, known) = values.unzip();
+        Self { value, known }
     }
 
     fn squares(&self) -> Vec<f64> {
@@ -332,10 +330,6 @@ struct CorrelationSums {
 }
 
 impl CorrelationSums {
-    fn zeros(lags: usize) -> Self {
-        Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
-    }
-
     /// Adds a piece. `stream` has one step more than `arm` for each lag after the first.
     ///
     /// Products at all lags by Fourier transforms (Press et al., *Numerical Recipes*, 3rd ed., §13.2), other sums

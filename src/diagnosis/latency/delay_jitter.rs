@@ -6,7 +6,7 @@ use crate::priors::LEVER_M;
 use crate::residuals::excess::mean_of;
 use crate::{AlignedSamples, Measured};
 use ground::geometry::Vec3;
-use ground::stats::median;
+use ground::stats::{mean, median_of};
 
 /// Skewed delays of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,9 +39,11 @@ pub(crate) fn estimate_delay_jitter(
     if all.len() < 10 * BLOCKS {
         return None;
     }
-    let values =
-        |part: &[SampleDelay]| part.iter().map(|delay| delay.delay_s).collect::<Vec<f64>>();
-    let middle_s = median(&mut values(&all))?;
+    let middle = |part: &[SampleDelay]| {
+        median_of(part.iter().map(|delay| delay.delay_s)).unwrap_or_default()
+    };
+    let mean = |part: &[SampleDelay]| mean(part.iter().map(|delay| delay.delay_s));
+    let middle_s = middle(&all);
     let along: f64 =
         all.iter().map(|delay| ((delay.delay_s - middle_s) * delay.speed).powi(2)).sum();
     let across: f64 = all.iter().map(|delay| delay.across.powi(2)).sum();
@@ -52,12 +54,10 @@ pub(crate) fn estimate_delay_jitter(
     if along < MIN_ALONG_RATIO * MIN_ALONG_RATIO * across / 5.0 || !is_scatter {
         return None;
     }
-    let mean = |part: &[SampleDelay]| values(part).iter().sum::<f64>() / part.len() as f64;
     let std_error = |of: &dyn Fn(&[SampleDelay]) -> f64| {
         let blocks = all.chunks(all.len().div_ceil(BLOCKS));
         mean_of(&blocks.map(of).collect::<Vec<f64>>()).std_error
     };
-    let middle = |part: &[SampleDelay]| median(&mut values(part)).unwrap_or(middle_s);
     let difference_s = mean(&all) - middle_s;
     let is_skewed = difference_s.abs()
         > MIN_DIFFERENCE_S.max(MIN_STD_ERRORS * std_error(&|part| mean(part) - middle(part)));
