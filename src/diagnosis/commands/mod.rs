@@ -16,6 +16,7 @@ pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErr
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
 use crate::model::jacobian::pose_change;
 use crate::residuals::excess::mean_of;
+use crate::samples::sampling::rows_within;
 use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between};
@@ -88,15 +89,13 @@ pub fn infer_joint_order(
     as_tracked.sort_unstable();
     let distance_at = |order: &[usize], later_s: f64| {
         let mut sequence = joints.sequence();
-        let (mut sum, mut count) = (0.0, 0.0);
-        for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
-            if let Some((at, _)) = sequence.at(t_s + later_s) {
-                let distances = order.iter().zip(row).map(|(&column, q)| (at[column] - q).abs());
-                sum += distances.sum::<f64>();
-                count += order.len() as f64;
-            }
-        }
-        if count > 0.0 { sum / count } else { f64::INFINITY }
+        let rows = t_s.iter().zip(q.chunks_exact(order.len().max(1)));
+        let distances = rows.filter_map(|(t_s, row)| {
+            let (at, _) = sequence.at(t_s + later_s)?;
+            Some(mean(order.iter().zip(row).map(|(&column, q)| (at[column] - q).abs())))
+        });
+        let distances: Vec<f64> = distances.collect();
+        if distances.is_empty() { f64::INFINITY } else { mean(distances) }
     };
     let distance = |order: &[usize]| {
         let distances = TRIAL_DELAYS_S.iter().map(|&later_s| distance_at(order, later_s));
@@ -306,8 +305,7 @@ fn joint_errors(
     let Some(commanded) = commands.joints.chunks_exact(dof.max(1)).nth(command.last) else {
         return Vec::new();
     };
-    let rows =
-        joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
+    let rows = rows_within(&joints.t_s, from_s, to_s.next_up());
     if rows.len() < 2 {
         return Vec::new();
     }
