@@ -156,18 +156,6 @@ pub struct HandEyeDiagnosis {
 }
 
 impl HandEyeDiagnosis {
-    fn not_observable(why: &NotObservable) -> Self {
-        Self {
-            follows: None,
-            diversity: Err(why.clone()),
-            solution: Err(why.clone()),
-            alternative: None,
-            latency_s: Err(why.clone()),
-            mount_error: None,
-            view: [0.0; 3],
-        }
-    }
-
     /// Alternative encoding's solution if there is one.
     pub fn best(&self) -> Option<&HandEyeSolution> {
         let read = self.alternative.as_ref().map(|(_, solution)| solution);
@@ -189,14 +177,13 @@ pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, max_lag_s: f64
 /// Estimates time offset, camera pose and closure error.
 pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDiagnosis {
     let HandEyeStreams { hand, target, .. } = *streams;
-    if hand.overlap_s(target) <= 0.0 {
-        return HandEyeDiagnosis::not_observable(&NotObservable::NoOverlap);
-    }
-    let peaks = rotation_lag_peaks(hand, target, max_lag_s);
+    let overlaps = hand.overlap_s(target) > 0.0;
+    let peaks = if overlaps { rotation_lag_peaks(hand, target, max_lag_s) } else { Vec::new() };
     let lags = candidate_lags(&peaks);
     let lag_s = best_lag_s(streams, &lags);
     let observed = streams.setting(TargetEncoding::AS_LOGGED, CameraMount::InHand, MAX_FIT_POSES);
     let diversity = match observed.pairs_at(lag_s, usize::MAX).len() {
+        _ if !overlaps => Err(NotObservable::NoOverlap),
         MIN_POSES.. => Ok(rotation_diversity(&observed, lag_s)),
         have => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
     };
@@ -208,8 +195,9 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDia
         diversity,
         alternative: solution.as_ref().ok().and_then(|it| better_encoding(streams, it, lag_s)),
         solution,
+        latency_s: Err(NotObservable::NotExcited),
+        mount_error: None,
         view: series::mean_direction(target),
-        ..HandEyeDiagnosis::not_observable(&NotObservable::NotExcited)
     };
     diagnosis.mount_error = diagnosis.best().and_then(|best| mount_error(streams, best));
     diagnosis.latency_s = latency(streams, &diagnosis, &lags);
