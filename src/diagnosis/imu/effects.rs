@@ -2,11 +2,11 @@
 //! yaw that jumps, depends on the heading or settles after power-on differ only in block and profile.
 
 use super::extension_tests::ExtensionTests;
-use super::model::{Model, Prior};
+use super::model::{Model, Parameters};
 use super::solve::Solved;
 use crate::priors::{BIAS_PRIOR_RAD_S, MOUNT_PRIOR_RAD, YAW_PRIOR_RAD};
 use crate::solver::linear::Rows;
-use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{Rotation, Vec3};
 use std::ops::Range;
 
 const MAX_EFFECTS: usize = 6;
@@ -100,9 +100,7 @@ impl Profile {
 pub(super) struct Effect {
     pub block: Block,
     pub profile: Profile,
-    /// Per function of the profile, one value per parameter of the block.
-    pub values: Vec<f64>,
-    /// Columns of the design.
+    /// Per function of the profile, one per parameter of the block.
     pub columns: Range<usize>,
 }
 
@@ -112,58 +110,39 @@ impl Effect {
     }
 }
 
-/// Effects of a model, in columns after its own.
-#[derive(Clone, Debug)]
-pub(super) struct Effects {
-    own_width: usize,
-    pub list: Vec<Effect>,
-}
-
-impl Effects {
-    pub fn new(own_width: usize) -> Self {
-        Self { own_width, list: Vec::new() }
-    }
-
-    /// Width of the design.
-    pub fn width(&self) -> usize {
-        self.list.last().map_or(self.own_width, |effect| effect.columns.end)
-    }
-
+impl Parameters {
     /// Columns of the effects that are part of the state.
-    pub fn columns(&self) -> impl Iterator<Item = usize> {
-        self.list
-            .iter()
-            .filter(|effect| !effect.is_walk())
-            .flat_map(|effect| effect.columns.clone())
+    pub fn effect_columns(&self) -> impl Iterator<Item = usize> {
+        let effects = self.effects.iter().filter(|effect| !effect.is_walk());
+        effects.flat_map(|effect| effect.columns.clone())
     }
 
-    /// Priors of all effects and of the increments of a walk.
-    pub fn priors(&self) -> impl Iterator<Item = Prior> {
-        self.list.iter().flat_map(|effect| {
+    /// Columns of all effects, with the precisions of their priors.
+    pub fn effect_priors(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.effects.iter().flat_map(|effect| {
             let variance = match effect.profile {
                 Profile::Walk { density, step_s, .. } => density.powi(2) * step_s,
                 _ => effect.block.prior().powi(2),
             };
-            let columns = effect.columns.clone().zip(&effect.values);
-            columns.map(move |(column, &value)| Prior { column, variance, value })
+            effect.columns.clone().map(move |column| (column, variance.recip()))
         })
     }
 
-    pub fn of(&self, block: Block) -> impl Iterator<Item = &Effect> {
-        self.list.iter().filter(move |effect| effect.block == block)
+    pub fn effects_on(&self, block: Block) -> impl Iterator<Item = &Effect> {
+        self.effects.iter().filter(move |effect| effect.block == block)
     }
 
-    pub fn has_walk(&self) -> bool {
-        self.list.iter().any(Effect::is_walk)
+    fn has_walk(&self) -> bool {
+        self.effects.iter().any(Effect::is_walk)
     }
 
     /// Sum of the effects on a block; its first entries.
-    pub fn sum(&self, block: Block, t_s: f64, world_from_imu: &Rotation) -> Vec3 {
+    pub fn sum_of_effects(&self, block: Block, t_s: f64, world_from_imu: &Rotation) -> Vec3 {
         let mut sum = Vec3::zeros();
-        for effect in self.of(block).filter(|effect| !effect.is_walk()) {
+        for effect in self.effects_on(block).filter(|effect| !effect.is_walk()) {
             let weights = effect.profile.weights(t_s, world_from_imu);
-            let each = effect.values.len() / weights.len();
-            for (values, weight) in effect.values.chunks_exact(each).zip(weights) {
+            let each = effect.columns.len() / weights.len();
+            for (values, weight) in self.values[effect.columns.clone()].chunks(each).zip(weights) {
                 values.iter().enumerate().for_each(|(at, value)| sum[at] += weight * value);
             }
         }
@@ -180,7 +159,7 @@ impl Effects {
         by_mount: &[Vec3],
         by_other: &[Vec3],
     ) {
-        for effect in &self.list {
+        for effect in &self.effects {
             let derivatives = if effect.block == Block::Mount { by_mount } else { by_other };
             let weights = effect.profile.weights(t_s, world_from_imu);
             let products =
@@ -189,32 +168,21 @@ impl Effects {
         }
     }
 
-    pub fn apply(&mut self, delta: &[f64]) {
-        for effect in self.list.iter_mut().filter(|effect| !effect.is_walk()) {
-            let step = &delta[effect.columns.clone()];
-            if effect.block == Block::Mount {
-                let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values))
-                    * rotation_from_rotvec(Vec3::from_column_slice(step));
-                effect.values = rotvec_from_rotation(&slip).as_slice().to_vec();
-            } else {
-                effect.values.iter_mut().zip(step).for_each(|(value, step)| *value += step);
-            }
+    fn remove_effects(&mut self, block: Block) {
+        let (effects, values) = (std::mem::take(&mut self.effects), self.values.clone());
+        self.values.truncate(effects.first().map_or(values.len(), |first| first.columns.start));
+        for effect in effects.into_iter().filter(|effect| effect.block != block) {
+            let start = self.values.len();
+            self.values.extend_from_slice(&values[effect.columns]);
+            self.effects.push(Effect { columns: start..self.values.len(), ..effect });
         }
     }
 
-    fn remove(&mut self, block: Block) {
-        self.list.retain(|effect| effect.block != block);
-        let mut start = self.own_width;
-        for effect in &mut self.list {
-            effect.columns = start..start + effect.columns.len();
-            start = effect.columns.end;
-        }
-    }
-
-    fn push(&mut self, block: Block, profile: Profile, parameters: usize) {
+    fn add_effect(&mut self, block: Block, profile: Profile, parameters: usize) {
         let functions = profile.weights(0.0, &Rotation::identity()).len();
-        let columns = self.width()..self.width() + functions * parameters;
-        self.list.push(Effect { block, profile, values: vec![0.0; columns.len()], columns });
+        let start = self.values.len();
+        self.values.resize(start + functions * parameters, 0.0);
+        self.effects.push(Effect { block, profile, columns: start..self.values.len() });
     }
 }
 
@@ -226,10 +194,10 @@ pub(super) fn add_likeliest_effects<M: Model>(
     let mut solved = model.fit();
     for _ in 0..MAX_EFFECTS {
         let Some(mut extended) = with_likeliest_effect(&model, candidates) else { break };
-        let wanders = extended.common().effects.has_walk() && !model.common().effects.has_walk();
-        if wanders && model.common().effects.of(Block::Yaw).next().is_some() {
+        let wanders = extended.parameters().has_walk() && !model.parameters().has_walk();
+        if wanders && model.parameters().effects_on(Block::Yaw).next().is_some() {
             // The walk was taken for other effects on the yaw. Its density is estimated without them.
-            model.common().effects.remove(Block::Yaw);
+            model.parameters().remove_effects(Block::Yaw);
             model.fit();
             let with_walk = with_likeliest_effect(&model, &[(Block::Yaw, Shape::Walk)]);
             model = with_walk.unwrap_or(extended);
@@ -243,21 +211,21 @@ pub(super) fn add_likeliest_effects<M: Model>(
 
 fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> Option<M> {
     let mut base = model.tested_with();
-    for Prior { column, variance, .. } in model.priors() {
-        base.retain(|parameter| parameter.0 != column);
-        base.push((column, variance.recip()));
+    for prior in model.priors() {
+        base.retain(|parameter| parameter.0 != prior.0);
+        base.push(prior);
     }
     let linearization = model.linearize();
     let tests = ExtensionTests::new(&linearization, &base, M::MODEL_ERROR)?;
     let mut extended = model.clone();
-    let effects = &mut extended.common().effects;
+    let parameters = extended.parameters();
     let is_free = |&&(block, shape): &&(Block, Shape)| match (block, shape) {
-        (Block::Yaw, Shape::Walk) => !effects.has_walk(),
+        (Block::Yaw, Shape::Walk) => !parameters.has_walk(),
         (Block::Yaw, Shape::Step) | (Block::World, _) => true,
-        (Block::Yaw, _) => {
-            effects.of(block).all(|effect| effect.is_walk() || effect.profile.change_s().is_some())
-        }
-        _ => effects.of(block).next().is_none(),
+        (Block::Yaw, _) => parameters
+            .effects_on(block)
+            .all(|effect| effect.is_walk() || effect.profile.change_s().is_some()),
+        _ => parameters.effects_on(block).next().is_none(),
     };
     let test = |&(block, shape): &(Block, Shape)| {
         let (log_bayes_factor, profile) =
@@ -271,7 +239,7 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
         (_, Block::World, _) => test(&(Block::Yaw, Shape::Step))?,
         likeliest => likeliest,
     };
-    effects.push(block, profile, M::columns_of(block).len());
+    parameters.add_effect(block, profile, M::columns_of(block).len());
     Some(extended)
 }
 
@@ -279,7 +247,7 @@ fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> 
 mod tests {
     use super::*;
     use crate::imu::Delay;
-    use crate::imu::model::{CommonParameters, Linearization, Moment, Sample};
+    use crate::imu::model::{Linearization, Moment, Sample};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -291,12 +259,11 @@ mod tests {
     struct Series {
         t_s: Vec<f64>,
         errors: Vec<Vec3>,
-        offset: [f64; 2],
-        common: CommonParameters,
+        parameters: Parameters,
     }
 
     impl Series {
-        const OFFSET: usize = CommonParameters::WIDTH;
+        const OFFSET: usize = Parameters::WIDTH;
         const DRIFT: usize = Self::OFFSET + 1;
 
         /// 20 s with `error`, autoregressive noise and a random walk of density `walk`.
@@ -314,8 +281,8 @@ mod tests {
             let errors = errors.collect();
             let delay = Delay { latency_s: 0.0, skew: 0.0, middle_s: 10.0 };
             let mount = Rotation::identity();
-            let common = CommonParameters::new(delay, mount, false, Self::DRIFT + 1);
-            Self { errors, t_s, offset: [0.0; 2], common }
+            let parameters = Parameters::new(delay, mount, false, Self::DRIFT + 1);
+            Self { errors, t_s, parameters }
         }
 
         fn fitted(self) -> (Self, Solved) {
@@ -327,17 +294,18 @@ mod tests {
     impl Model for Series {
         const MODEL_ERROR: f64 = 1e-6;
 
-        fn common(&mut self) -> &mut CommonParameters {
-            &mut self.common
+        fn parameters(&mut self) -> &mut Parameters {
+            &mut self.parameters
         }
 
         fn linearize(&self) -> Linearization {
-            let mut linearization = Linearization::new(&self.common, self.t_s.len(), 1e-6);
+            let mut linearization = Linearization::new(&self.parameters, self.t_s.len(), 1e-6);
             for (&t_s, error) in self.t_s.iter().zip(&self.errors) {
                 let world_from_imu = Rotation::identity();
-                let yaw = self.common.effects.sum(Block::Yaw, t_s, &world_from_imu).x;
-                let since_s = t_s - self.common.delay.middle_s;
-                let fitted = self.offset[0] + self.offset[1] * since_s + yaw;
+                let yaw = self.parameters.sum_of_effects(Block::Yaw, t_s, &world_from_imu).x;
+                let since_s = t_s - self.parameters.middle_s;
+                let values = &self.parameters.values;
+                let fitted = values[Self::OFFSET] + values[Self::DRIFT] * since_s + yaw;
                 let sample = Sample {
                     moment: Moment { t_s, world_from_imu },
                     residual: error - Vec3::z() * fitted,
@@ -347,14 +315,9 @@ mod tests {
                     by_own: &[Vec3::z(), Vec3::z() * since_s],
                     by_other_block: &[Vec3::z()],
                 };
-                linearization.push(&self.common, sample);
+                linearization.push(&self.parameters, sample);
             }
             linearization
-        }
-
-        fn apply(&mut self, delta: &[f64]) {
-            let own = &delta[Self::OFFSET..];
-            self.offset.iter_mut().zip(own).for_each(|(offset, delta)| *offset += delta);
         }
 
         fn free(&self) -> Vec<usize> {
@@ -369,8 +332,8 @@ mod tests {
             vec![(Self::OFFSET, 0.0), (Self::DRIFT, 0.0)]
         }
 
-        fn priors(&self) -> Vec<Prior> {
-            self.common.effects.priors().collect()
+        fn priors(&self) -> Vec<(usize, f64)> {
+            self.parameters.effect_priors().collect()
         }
     }
 
@@ -379,7 +342,7 @@ mod tests {
         let steady = (0..60).filter(|&seed| {
             let rho = if seed % 2 == 0 { 0.0 } else { 0.95 };
             let (model, _) = Series::new(seed, rho, 0.0, |t_s| 1e-3 * t_s).fitted();
-            model.common.effects.list.is_empty()
+            model.parameters.effects.is_empty()
         });
         assert_eq!(steady.count(), 60);
     }
@@ -389,13 +352,14 @@ mod tests {
         for (rho, size) in [(0.0, 0.01), (0.0, -0.003), (0.95, 0.01), (0.95, -0.2)] {
             let jump = |t_s: f64| if t_s > 7.123 { size } else { 0.0 };
             let (model, solved) = Series::new(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)).fitted();
-            let [found] = model.common.effects.list.as_slice() else {
-                panic!("{rho} {size}: {:?}", model.common.effects)
+            let [found] = model.parameters.effects.as_slice() else {
+                panic!("{rho} {size}: {:?}", model.parameters.effects)
             };
             let (at_s, _) = found.profile.change_s().expect("a step");
             assert!((at_s - 7.123).abs() < 0.1, "{found:?}");
-            assert!((found.values[0] - size).abs() < 5e-4, "{found:?}");
-            let drift = solved.measure(Series::DRIFT, model.offset[1]).expect("a drift");
+            let jumped = model.parameters.values[found.columns.start];
+            assert!((jumped - size).abs() < 5e-4, "{found:?}: {jumped}");
+            let drift = solved.measure(Series::DRIFT).expect("a drift");
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
         }
     }
@@ -410,12 +374,11 @@ mod tests {
                 Profile::Walk { density, .. } => Some(density),
                 _ => None,
             };
-            let density = model.common.effects.list.iter().find_map(density).unwrap_or(0.0);
+            let density = model.parameters.effects.iter().find_map(density).unwrap_or(0.0);
             walks += usize::from((1e-3..4e-3).contains(&density));
             ratios.push(density / 2e-3);
-            others += model.common.effects.list.iter().filter(|effect| !effect.is_walk()).count();
-            let [low, high] =
-                solved.measure(Series::DRIFT, model.offset[1]).expect("a drift").interval(0.95);
+            others += model.parameters.effects.iter().filter(|effect| !effect.is_walk()).count();
+            let [low, high] = solved.measure(Series::DRIFT).expect("a drift").interval(0.95);
             covered += usize::from((low..=high).contains(&0.0));
         }
         assert!(walks >= 51 && others <= 12 && covered >= 51, "{walks} {others} {covered}");
@@ -427,25 +390,26 @@ mod tests {
     fn a_part_that_no_effect_explains_has_none() {
         let unrelated = |t_s: f64| if t_s < 2.2 { (3.0 * t_s).sin() } else { 0.0 };
         let (model, _) = Series::new(4, 0.5, 0.0, unrelated).fitted();
-        assert!(model.common.effects.list.is_empty(), "{:?}", model.common.effects);
+        assert!(model.parameters.effects.is_empty(), "{:?}", model.parameters.effects);
     }
 
     #[test]
     fn a_jump_is_detected_within_a_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
         let (model, _) = Series::new(9, 0.0, 1e-3, jump).fitted();
-        assert_eq!(model.common.effects.list.len(), 2, "{:?}", model.common.effects);
-        assert!(model.common.effects.has_walk(), "{:?}", model.common.effects);
+        assert_eq!(model.parameters.effects.len(), 2, "{:?}", model.parameters.effects);
+        assert!(model.parameters.has_walk(), "{:?}", model.parameters.effects);
     }
 
     #[test]
     fn a_decay_is_estimated_with_its_time_constant() {
         let (model, _) = Series::new(3, 0.5, 0.0, |t_s| 0.02 * (-t_s / 4.0).exp()).fitted();
-        let [Effect { profile: Profile::Decay { time_constant_s, .. }, values, .. }] =
-            model.common.effects.list.as_slice()
+        let [Effect { profile: Profile::Decay { time_constant_s, .. }, columns, .. }] =
+            model.parameters.effects.as_slice()
         else {
-            panic!("{:?}", model.common.effects)
+            panic!("{:?}", model.parameters.effects)
         };
-        assert!((time_constant_s - 4.0).abs() < 0.3 && (values[0] - 0.02).abs() < 1e-3);
+        let size = model.parameters.values[columns.start];
+        assert!((time_constant_s - 4.0).abs() < 0.3 && (size - 0.02).abs() < 1e-3);
     }
 }

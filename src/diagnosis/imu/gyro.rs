@@ -8,7 +8,7 @@
 use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuDiagnosis};
 use super::extension_tests::ExtensionTests;
-use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
+use super::model::{Linearization, Model, Moment, Parameters, Sample};
 use super::solve::Solved;
 use super::{
     Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, check_explained, mount_of,
@@ -49,7 +49,7 @@ impl GyroFit {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let rotation = rotvec_from_rotation(&imu_from_gyro);
         let mut size_rad =
-            self.solved.observable_length(CommonParameters::MOUNT, rotation.as_slice()).ok()?;
+            self.solved.observable_length(Parameters::MOUNT, rotation.as_slice()).ok()?;
         size_rad.norm = size_rad.norm.with_error(self.relative_fk_error);
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
@@ -66,10 +66,8 @@ impl Link<'_> {
         let (delay, mount) = (self.delay(lag_s), self.initial_mount(lag_s, moves));
         let mut model = GyroModel {
             link: self,
-            common: CommonParameters::new(delay, mount, moves, GyroModel::WIDTH),
+            parameters: Parameters::new(delay, mount, moves, GyroModel::WIDTH),
             windows: self.windows(window_s, &delay),
-            bias_rad_s: Vec3::zeros(),
-            scale: [0.0; 7],
             scale_columns: 0..0,
             rate_without_noise: Matrix3::identity(),
             noise: noise_of_axes(&self.stream.track.gyro).norm_squared() / 3.0,
@@ -78,7 +76,7 @@ impl Link<'_> {
         model.fit();
         while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;
-            let windows = self.windows(window_s, &model.common.delay);
+            let windows = self.windows(window_s, &model.parameters.delay());
             if windows.len() < MIN_FIT_SAMPLES {
                 break;
             }
@@ -100,23 +98,23 @@ impl Link<'_> {
                 }
             }
         }
-        let rotation_rad = self.rotation_rms_rad(&model.common.delay);
+        let parameters = &model.parameters;
+        let rotation_rad = self.rotation_rms_rad(&parameters.delay());
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
         let residual = rms(solved.residuals.iter().map(Vec3::norm));
         check_explained(rotation_rad, model.mean_rate_rad_s(), residual)?;
-        let common = &model.common;
-        let found = common
+        let found = parameters
             .diagnosis(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s));
         let diagnosis = ImuDiagnosis {
             link_from_imu: found.link_from_imu.filter(|_| moves),
-            mount_rad: common.mount_rad(self.known_mount(), &solved),
+            mount_rad: parameters.mount_rad(self.known_mount(), &solved),
             gyro_bias: model.bias(&solved, relative_fk_error),
             ..found
         };
         Ok(GyroFit {
             diagnosis,
-            delay: common.delay,
-            link_from_imu: common.link_from_imu,
+            delay: parameters.delay(),
+            link_from_imu: parameters.link_from_imu,
             solved,
             relative_fk_error,
         })
@@ -159,11 +157,8 @@ impl Link<'_> {
 #[derive(Clone)]
 struct GyroModel<'a> {
     link: &'a Link<'a>,
-    common: CommonParameters,
+    parameters: Parameters,
     windows: Vec<RangeInclusive<usize>>,
-    bias_rad_s: Vec3,
-    /// Scale error by each of [`Self::scale_units`].
-    scale: [f64; 7],
     /// Columns of the scale error. Empty without one.
     scale_columns: Range<usize>,
     /// Maps a measured rate to its best linear estimate (Wiener filter), for the columns of the scale error.
@@ -185,7 +180,7 @@ struct IntegratedRotation {
 }
 
 impl GyroModel<'_> {
-    const BIAS: Range<usize> = CommonParameters::WIDTH..CommonParameters::WIDTH + 3;
+    const BIAS: Range<usize> = Parameters::WIDTH..Parameters::WIDTH + 3;
     /// Of single entries, and of all axes alike.
     const SCALE_ENTRIES: Range<usize> = Self::BIAS.end..Self::BIAS.end + 6;
     const COMMON_SCALE: Range<usize> = Self::SCALE_ENTRIES.end..Self::SCALE_ENTRIES.end + 1;
@@ -206,12 +201,14 @@ impl GyroModel<'_> {
 
     /// Maps a measured rate without bias to the true one.
     fn unscale(&self) -> Matrix3<f64> {
-        let parts = Self::scale_units().zip(self.scale).map(|(unit, value)| unit * value);
+        let values = &self.parameters.values[Self::SCALE_ENTRIES.start..Self::WIDTH];
+        let parts = Self::scale_units().zip(values).map(|(unit, value)| unit * *value);
         (Matrix3::identity() + parts.sum::<Matrix3<f64>>()).try_inverse().unwrap_or_default()
     }
 
     fn bias_at(&self, t_s: f64) -> Vec3 {
-        self.bias_rad_s + self.common.effects.sum(Block::Bias, t_s, &Rotation::identity())
+        let change = self.parameters.sum_of_effects(Block::Bias, t_s, &Rotation::identity());
+        self.parameters.vector(Self::BIAS) + change
     }
 
     /// Residual rates in the link frame and angular acceleration by FK, with this latency compensated in addition.
@@ -223,14 +220,14 @@ impl GyroModel<'_> {
         let mut joints = self.link.joints.sequence();
         let rows = self.link.rows().filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
-            let truth_s = self.common.delay.truth_s(track.t_s[k] - late_s(track.t_s[k]));
+            let truth_s = self.parameters.delay().truth_s(track.t_s[k] - late_s(track.t_s[k]));
             let [before, state, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
                 .map(|around_s| self.link.at(truth_s + around_s, &mut joints));
             let (before, state, after) = (before?, state?, after?);
             let change = (after.body_rate() - before.body_rate()) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
             let measured =
-                self.common.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
+                self.parameters.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
                 residual: stacked([Vec3::zeros(), measured - state.body_rate()]),
@@ -273,11 +270,10 @@ impl GyroModel<'_> {
     /// Windows, with the stamps and the states of the link at both ends.
     fn ends(&self) -> impl Iterator<Item = (&RangeInclusive<usize>, [(f64, LinkState); 2])> {
         let mut joints = self.link.joints.sequence();
-        let t_s = &self.link.stream.track.t_s;
+        let (t_s, delay) = (&self.link.stream.track.t_s, self.parameters.delay());
         self.windows.iter().filter_map(move |window| {
-            let mut end = |k: usize| {
-                Some((t_s[k], self.link.at(self.common.delay.truth_s(t_s[k]), &mut joints)?))
-            };
+            let mut end =
+                |k: usize| Some((t_s[k], self.link.at(delay.truth_s(t_s[k]), &mut joints)?));
             Some((window, [end(*window.start())?, end(*window.end())?]))
         })
     }
@@ -318,8 +314,10 @@ impl GyroModel<'_> {
     fn likely_scale_errors(&self) -> Vec<Range<usize>> {
         let linearization = self.linearize();
         let tested_with = 0..Self::BIAS.end;
-        let base: Vec<(usize, f64)> =
-            tested_with.chain(self.common.effects.columns()).map(|column| (column, 0.0)).collect();
+        let base: Vec<(usize, f64)> = tested_with
+            .chain(self.parameters.effect_columns())
+            .map(|column| (column, 0.0))
+            .collect();
         let tests = ExtensionTests::new(&linearization, &base, Self::MODEL_ERROR);
         let scored = [Self::COMMON_SCALE, Self::SCALE_ENTRIES].into_iter().filter_map(|columns| {
             let test =
@@ -333,9 +331,7 @@ impl GyroModel<'_> {
 
     /// `None` without a scale error, or if part of it is not observable in this motion.
     fn scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
-        let value = |column: usize| self.scale[column - Self::SCALE_ENTRIES.start];
-        let columns = self.scale_columns.clone();
-        let measured = columns.map(|column| solved.measure(column, value(column)).ok());
+        let measured = self.scale_columns.clone().map(|column| solved.measure(column).ok());
         match *measured.collect::<Option<Vec<Measured>>>()? {
             [common] => Some(GyroScaleError { scale: [common; 3], misalignment_rad: None }),
             [x, y, z, yz, xz, xy] => {
@@ -346,25 +342,27 @@ impl GyroModel<'_> {
     }
 
     fn bias(&self, solved: &Solved, relative_fk_error: f64) -> EstimateResult<GyroBias> {
-        let mut vector_rad_s = self.bias_rad_s;
+        let constant_rad_s = self.parameters.vector(Self::BIAS);
+        let mut vector_rad_s = constant_rad_s;
         let mut columns: Vec<usize> = Self::BIAS.collect();
         let mut change = None;
-        if let Some(effect) = self.common.effects.of(Block::Bias).next() {
-            let changed_rad_s = self.bias_rad_s + Vec3::from_column_slice(&effect.values);
+        if let Some(effect) = self.parameters.effects_on(Block::Bias).next() {
+            let by_effect = self.parameters.vector(effect.columns.clone());
+            let changed_rad_s = constant_rad_s + by_effect;
             let (profile, [before_rad_s, after_rad_s]) = match effect.profile {
                 Profile::Decay { time_constant_s, .. } => {
-                    (GyroBiasProfile::WarmUp { time_constant_s }, [changed_rad_s, self.bias_rad_s])
+                    (GyroBiasProfile::WarmUp { time_constant_s }, [changed_rad_s, constant_rad_s])
                 }
                 other => {
                     let (at_s, interval_s) = other.change_s().unwrap_or_default();
-                    let both = [self.bias_rad_s, changed_rad_s];
+                    let both = [constant_rad_s, changed_rad_s];
                     (GyroBiasProfile::Step { at_s, interval_s }, both)
                 }
             };
-            let size_rad_s = solved.length(effect.columns.clone(), &effect.values)?;
+            let size_rad_s = solved.length(effect.columns.clone(), by_effect.as_slice())?;
             change = Some(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s });
             // The larger of the two biases.
-            if changed_rad_s.norm() > self.bias_rad_s.norm() {
+            if changed_rad_s.norm() > constant_rad_s.norm() {
                 vector_rad_s = changed_rad_s;
                 columns.extend(effect.columns.clone());
             }
@@ -385,8 +383,8 @@ impl GyroModel<'_> {
     /// Mean rate about the base's z that the bias simulates.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
         let starts = self.windows.iter().map(|window| *window.start());
-        let in_link = self.common.link_from_imu * bias_rad_s;
-        let states = self.link.states(starts, self.common.delay);
+        let in_link = self.parameters.link_from_imu * bias_rad_s;
+        let states = self.link.states(starts, self.parameters.delay());
         mean(states.map(|(_, state)| (state.rotation * in_link).z))
     }
 }
@@ -394,25 +392,25 @@ impl GyroModel<'_> {
 impl Model for GyroModel<'_> {
     const MODEL_ERROR: f64 = FLOOR_RAD_S;
 
-    fn common(&mut self) -> &mut CommonParameters {
-        &mut self.common
+    fn parameters(&mut self) -> &mut Parameters {
+        &mut self.parameters
     }
 
     /// Mean rates over the windows, in the sensor's frame at their ends. FK noise is in the columns of the mount, gyro
     /// noise in all others.
     fn linearize(&self) -> Linearization {
-        let common = &self.common;
-        let mut linearization = Linearization::new(common, self.windows.len(), FLOOR_RAD_S);
+        let parameters = &self.parameters;
+        let mut linearization = Linearization::new(parameters, self.windows.len(), FLOOR_RAD_S);
         let slip_s =
-            common.effects.of(Block::Mount).next().and_then(|slip| slip.profile.change_s());
+            parameters.effects_on(Block::Mount).next().and_then(|slip| slip.profile.change_s());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             let integrated = self.integrate(window);
-            let (mount, per_s) = (common.mount_at(to_s), 1.0 / integrated.duration_s);
+            let (mount, per_s) = (parameters.mount_at(to_s), 1.0 / integrated.duration_s);
             let (moving, since_middle_s) =
-                (first.moving || last.moving, to_s - common.delay.middle_s);
+                (first.moving || last.moving, to_s - parameters.middle_s);
             let base_from_imu = last.rotation * mount;
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
-            linearization.add_mount_noise(common, from_s, &base_from_imu, &in_base);
+            linearization.add_mount_noise(parameters, from_s, &base_from_imu, &in_base);
             if moving {
                 let by_ends = 3.0 * 2.0 * self.noise * per_s.powi(2);
                 linearization.add_delay_noise(since_middle_s, by_ends);
@@ -440,19 +438,13 @@ impl Model for GyroModel<'_> {
                 by_own: &[&by_bias[..], &by_scale_error].concat(),
                 by_other_block: &by_bias,
             };
-            linearization.push(common, sample);
+            linearization.push(parameters, sample);
         }
         linearization
     }
 
-    fn apply(&mut self, delta: &[f64]) {
-        self.bias_rad_s += Vec3::from_column_slice(&delta[Self::BIAS]);
-        let step = &delta[Self::SCALE_ENTRIES.start..];
-        self.scale.iter_mut().zip(step).for_each(|(value, step)| *value += step);
-    }
-
     fn free(&self) -> Vec<usize> {
-        let mount = CommonParameters::MOUNT.filter(|_| self.common.moves);
+        let mount = Parameters::MOUNT.filter(|_| self.parameters.moves);
         mount.chain(Self::BIAS).chain(self.scale_columns.clone()).collect()
     }
 
@@ -462,7 +454,7 @@ impl Model for GyroModel<'_> {
 
     fn columns_of(block: Block) -> Range<usize> {
         match block {
-            Block::Mount => CommonParameters::MOUNT,
+            Block::Mount => Parameters::MOUNT,
             _ => Self::BIAS,
         }
     }
@@ -470,20 +462,16 @@ impl Model for GyroModel<'_> {
     /// With the scale error, which a change may imitate.
     fn tested_with(&self) -> Vec<(usize, f64)> {
         let bias = Self::BIAS.map(|column| (column, 0.0));
-        if !self.common.moves {
+        if !self.parameters.moves {
             return bias.collect();
         }
-        let delay_and_mount = CommonParameters::MOUNT.chain([CommonParameters::LATENCY]);
+        let delay_and_mount = Parameters::MOUNT.chain([Parameters::LATENCY]);
         let scale = Self::SCALE_ENTRIES.map(|column| (column, GYRO_SCALE_PRIOR.powi(-2)));
         delay_and_mount.map(|column| (column, 0.0)).chain(bias).chain(scale).collect()
     }
 
-    fn priors(&self) -> Vec<Prior> {
-        let prior = |column: usize| Prior {
-            column,
-            variance: GYRO_SCALE_PRIOR.powi(2),
-            value: self.scale[column - Self::SCALE_ENTRIES.start],
-        };
-        self.scale_columns.clone().map(prior).chain(self.common.effects.priors()).collect()
+    fn priors(&self) -> Vec<(usize, f64)> {
+        let scale = self.scale_columns.clone().map(|column| (column, GYRO_SCALE_PRIOR.powi(-2)));
+        scale.chain(self.parameters.effect_priors()).collect()
     }
 }

@@ -1,6 +1,6 @@
 //! The models of an IMU's orientation and gyro: what they share, and their fit.
 
-use super::effects::{Block, Effects};
+use super::effects::{Block, Effect};
 use super::estimates::{ImuDiagnosis, ImuMountChange};
 use super::solve::{Solved, solve};
 use super::{Delay, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE};
@@ -17,13 +17,13 @@ pub(super) trait Model: Clone {
     /// Residuals below it distinguish no effects.
     const MODEL_ERROR: f64;
 
-    fn common(&mut self) -> &mut CommonParameters;
+    fn parameters(&mut self) -> &mut Parameters;
 
     /// Linearises at the current parameters, with all random effects at zero.
     fn linearize(&self) -> Linearization;
 
-    /// Adds a step, with one entry per column of the design, to the model's own parameters.
-    fn apply(&mut self, delta: &[f64]);
+    /// Turns the rotations of the model besides the mount by a step, with one entry per column of the design.
+    fn turn(&mut self, _: &[f64]) {}
 
     /// Columns to fit besides the delay and the effects.
     fn free(&self) -> Vec<usize>;
@@ -39,8 +39,8 @@ pub(super) trait Model: Clone {
     /// Columns that are fitted while effects are tested, with the precision of their prior about zero.
     fn tested_with(&self) -> Vec<(usize, f64)>;
 
-    /// Columns with a normal prior about zero. They are always fitted.
-    fn priors(&self) -> Vec<Prior>;
+    /// Columns with a normal prior about zero, and its precision. They are always fitted.
+    fn priors(&self) -> Vec<(usize, f64)>;
 
     /// Sets the mount to the logged one if the fitted one does not differ significantly. Returns whether it did.
     fn restores_logged_mount(&mut self, _: &Solved) -> bool {
@@ -51,22 +51,22 @@ pub(super) trait Model: Clone {
     /// significantly.
     fn fit(&mut self) -> Solved {
         let mut free = self.free();
-        let CommonParameters { effects, moves, .. } = self.common();
-        free.extend(effects.columns());
-        if *moves {
-            free.extend([CommonParameters::LATENCY, CommonParameters::SKEW]);
+        let parameters = self.parameters();
+        free.extend(parameters.effect_columns());
+        if parameters.moves {
+            free.extend([Parameters::LATENCY, Parameters::SKEW]);
         }
         let all = free.len();
         let mut solved = solve(self, &free);
-        let CommonParameters { delay, skew, .. } = self.common();
-        *skew = solved.measure(CommonParameters::SKEW, delay.skew);
-        let length = solved.length([CommonParameters::SKEW].into_iter(), &[delay.skew]);
+        let Parameters { values, skew, .. } = self.parameters();
+        *skew = solved.measure(Parameters::SKEW);
+        let length = solved.length([Parameters::SKEW].into_iter(), &[values[Parameters::SKEW]]);
         if !length.is_ok_and(|length| length.p_value < SKEW_SIGNIFICANCE) {
-            delay.skew = 0.0;
-            free.retain(|&column| column != CommonParameters::SKEW);
+            values[Parameters::SKEW] = 0.0;
+            free.retain(|&column| column != Parameters::SKEW);
         }
         if self.restores_logged_mount(&solved) {
-            free.retain(|column| !CommonParameters::MOUNT.contains(column));
+            free.retain(|column| !Parameters::MOUNT.contains(column));
         }
         if free.len() < all {
             solved = solve(self, &free);
@@ -75,49 +75,59 @@ pub(super) trait Model: Clone {
     }
 }
 
-pub(super) struct Prior {
-    pub column: usize,
-    pub variance: f64,
-    /// Current value; 0 for random effects, which are not part of the state.
-    pub value: f64,
-}
-
-/// Parameters of both signals, in the first columns of the design, and effects, in the last.
+/// Parameters of a model. Those of both signals are in the first columns of the design, effects in the last.
 #[derive(Clone)]
-pub(super) struct CommonParameters {
-    pub delay: Delay,
+pub(super) struct Parameters {
+    /// Per column of the design; 0 for random effects, which are not part of the state. Unused for rotations.
+    pub values: Vec<f64>,
+    /// Time without effect of the skew.
+    pub middle_s: f64,
     /// Mount before a slip.
     pub link_from_imu: Rotation,
-    pub effects: Effects,
+    pub effects: Vec<Effect>,
     /// Whether the IMU follows the arm, so that its delay is observable.
     pub moves: bool,
     /// Before it is omitted.
     pub skew: EstimateResult<Measured>,
 }
 
-impl CommonParameters {
+impl Parameters {
     pub const LATENCY: usize = 0;
     pub const SKEW: usize = 1;
     pub const MOUNT: Range<usize> = 2..5;
+    /// Of both signals.
     pub const WIDTH: usize = 5;
 
     /// For a model whose parameters have `width` columns without effects.
     pub fn new(delay: Delay, link_from_imu: Rotation, moves: bool, width: usize) -> Self {
-        let (effects, skew) = (Effects::new(width), Err(NotObservable::AtRest));
-        Self { delay, link_from_imu, effects, moves, skew }
+        let Delay { latency_s, skew, middle_s } = delay;
+        let mut values = vec![0.0; width];
+        (values[Self::LATENCY], values[Self::SKEW]) = (latency_s, skew);
+        let (effects, skew) = (Vec::new(), Err(NotObservable::AtRest));
+        Self { values, middle_s, link_from_imu, effects, moves, skew }
+    }
+
+    pub fn delay(&self) -> Delay {
+        let (latency_s, skew) = (self.values[Self::LATENCY], self.values[Self::SKEW]);
+        Delay { latency_s, skew, middle_s: self.middle_s }
+    }
+
+    /// Three parameters.
+    pub fn vector(&self, columns: Range<usize>) -> Vec3 {
+        Vec3::from_column_slice(&self.values[columns])
     }
 
     pub fn mount_at(&self, t_s: f64) -> Rotation {
-        let slip = self.effects.sum(Block::Mount, t_s, &Rotation::identity());
+        let slip = self.sum_of_effects(Block::Mount, t_s, &Rotation::identity());
         self.link_from_imu * rotation_from_rotvec(slip)
     }
 
     fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
-        let effect = self.effects.of(Block::Mount).next()?;
+        let effect = self.effects_on(Block::Mount).next()?;
         let (at_s, interval_s) = effect.profile.change_s()?;
-        let size_rad = solved.length(effect.columns.clone(), &effect.values).ok()?;
-        let slip = rotation_from_rotvec(Vec3::from_column_slice(&effect.values));
-        let link_from_imu = self.link_from_imu * slip;
+        let slip = self.vector(effect.columns.clone());
+        let size_rad = solved.length(effect.columns.clone(), slip.as_slice()).ok()?;
+        let link_from_imu = self.link_from_imu * rotation_from_rotvec(slip);
         Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
     }
 
@@ -153,9 +163,9 @@ impl CommonParameters {
             ..ImuDiagnosis::not_observable(&NotObservable::NoOrientation)
         };
         if self.moves {
-            let (logged, skew) = (samples(&|_| 0.0), self.delay.skew);
+            let (logged, skew) = (samples(&|_| 0.0), self.values[Self::SKEW]);
             let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
-            found.latency_s = solved.measure(Self::LATENCY, self.delay.latency_s);
+            found.latency_s = solved.measure(Self::LATENCY);
             found.skew = self.skew.clone();
             found.latency_profile = fit_profile(&logged, 1, skew, removed_ramp, compensated);
         } else {
@@ -164,17 +174,24 @@ impl CommonParameters {
         found
     }
 
-    pub fn apply(&mut self, delta: &[f64]) {
-        self.delay.latency_s += delta[Self::LATENCY];
-        self.delay.skew += delta[Self::SKEW];
-        self.link_from_imu *= rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::MOUNT]));
-        self.effects.apply(delta);
+    /// Adds a step of the `free` parameters.
+    pub fn apply(&mut self, step: &[f64], free: &[usize]) {
+        let turn = |columns| rotation_from_rotvec(Vec3::from_column_slice(&step[columns]));
+        self.link_from_imu *= turn(Self::MOUNT);
+        let slipped = self.effects_on(Block::Mount).next().map(|effect| {
+            let slip = rotation_from_rotvec(self.vector(effect.columns.clone()));
+            (effect.columns.clone(), rotvec_from_rotation(&(slip * turn(effect.columns.clone()))))
+        });
+        free.iter().for_each(|&column| self.values[column] += step[column]);
+        if let Some((columns, slip)) = slipped {
+            self.values[columns].copy_from_slice(slip.as_slice());
+        }
     }
 
     /// Columns of equal unit whose combinations are tested together for excitation, in the order of fixing.
     pub fn groups(&self) -> impl Iterator<Item = Range<usize>> {
         let delay = [Self::SKEW..Self::SKEW + 1, Self::LATENCY..Self::LATENCY + 1];
-        let slips = self.effects.of(Block::Mount).map(|slip| slip.columns.clone());
+        let slips = self.effects_on(Block::Mount).map(|slip| slip.columns.clone());
         delay.into_iter().chain(slips).chain([Self::MOUNT])
     }
 }
@@ -212,19 +229,19 @@ pub(super) struct Sample<'a> {
 }
 
 impl Linearization {
-    pub fn new(common: &CommonParameters, samples: usize, floor: f64) -> Self {
-        let width = common.effects.width();
+    pub fn new(parameters: &Parameters, samples: usize, floor: f64) -> Self {
+        let width = parameters.values.len();
         let mut linear = Linear::new(width, &[floor]);
         linear.reserve(samples);
         let moments = Vec::with_capacity(samples);
         Self { linear, moments, design_noise: DMatrix::zeros(width, width) }
     }
 
-    pub fn push(&mut self, common: &CommonParameters, sample: Sample) {
+    pub fn push(&mut self, parameters: &Parameters, sample: Sample) {
         let mut rows = self.linear.push(&[sample.residual]);
         let Moment { t_s, world_from_imu } = &sample.moment;
         // The mount is applied before the slip.
-        let before_slip = common.mount_at(*t_s).inverse() * common.link_from_imu;
+        let before_slip = parameters.mount_at(*t_s).inverse() * parameters.link_from_imu;
         let before_slip = before_slip.to_rotation_matrix();
         let by_mount = Matrix3::from_columns(&sample.by_mount) * before_slip.matrix();
         let by_mount = by_mount.column_iter().map(|column| column.into_owned());
@@ -232,7 +249,7 @@ impl Linearization {
         let by_own = sample.by_own.iter().copied();
         rows.set_from(0, by_delay.into_iter().chain(by_mount).chain(by_own));
         let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
-        common.effects.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
+        parameters.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
         self.moments.push(sample.moment);
     }
 
@@ -240,7 +257,7 @@ impl Linearization {
     /// contributes `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
     pub fn add_mount_noise(
         &mut self,
-        common: &CommonParameters,
+        parameters: &Parameters,
         t_s: f64,
         base_from_imu: &Rotation,
         covariance: &Matrix3<f64>,
@@ -248,10 +265,10 @@ impl Linearization {
         let base_from_imu = base_from_imu.to_rotation_matrix();
         let in_imu = base_from_imu.matrix().tr_mul(&(covariance * base_from_imu.matrix()));
         let noise = Matrix3::from_diagonal_element(in_imu.trace()) - in_imu;
-        let slips = common.effects.of(Block::Mount);
+        let slips = parameters.effects_on(Block::Mount);
         let slips = slips
             .map(|slip| (slip.columns.start, slip.profile.weights(t_s, &Rotation::identity())[0]));
-        for (start, weight) in slips.chain([(CommonParameters::MOUNT.start, 1.0)]) {
+        for (start, weight) in slips.chain([(Parameters::MOUNT.start, 1.0)]) {
             let mut block = self.design_noise.fixed_view_mut::<3, 3>(start, start);
             block += noise * weight;
         }
@@ -259,8 +276,8 @@ impl Linearization {
 
     /// Adds noise of this variance to the columns of the delay.
     pub fn add_delay_noise(&mut self, since_middle_s: f64, variance: f64) {
-        const LATENCY: usize = CommonParameters::LATENCY;
-        const SKEW: usize = CommonParameters::SKEW;
+        const LATENCY: usize = Parameters::LATENCY;
+        const SKEW: usize = Parameters::SKEW;
         self.design_noise[(LATENCY, LATENCY)] += variance;
         self.design_noise[(SKEW, SKEW)] += variance * since_middle_s.powi(2);
     }

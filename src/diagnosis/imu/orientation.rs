@@ -6,7 +6,7 @@
 use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
-use super::model::{CommonParameters, Linearization, Model, Moment, Prior, Sample};
+use super::model::{Linearization, Model, Moment, Parameters, Sample};
 use super::solve::Solved;
 use super::{Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
@@ -51,18 +51,18 @@ impl Link<'_> {
         let (model, solved) = add_likeliest_effects(model, &EFFECTS);
         if let Some(side_s) = model.longer_side_s() {
             // A slip makes every encoding fit badly: determine it again on one side.
-            let estimated = self.estimate_encoding_near(&model.common.delay, gyro, side_s);
+            let estimated = self.estimate_encoding_near(&model.parameters.delay(), gyro, side_s);
             encoding = estimated.map_or(encoding, |estimated| estimated.0);
         }
-        let common = &model.common;
-        self.check_rotation_explained(&common.delay, &solved.residuals)?;
-        let found = common.diagnosis(&solved, self.stream.removed_ramp, |late_s| {
+        let parameters = &model.parameters;
+        self.check_rotation_explained(&parameters.delay(), &solved.residuals)?;
+        let found = parameters.diagnosis(&solved, self.stream.removed_ramp, |late_s| {
             model.latency_samples(&solved, late_s)
         });
         let (yaw_error, headings) = model.yaw_error();
         Ok(ImuDiagnosis {
             encoding: Ok(encoding),
-            yaw_drift_rad_s: solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
+            yaw_drift_rad_s: solved.measure(OrientationModel::DRIFT),
             yaw_profile: model.yaw_profile(&solved),
             yaw_error,
             headings,
@@ -94,9 +94,8 @@ impl Link<'_> {
         let width = OrientationModel::LINKS_START + 3 * self.inner_links();
         let mut model = OrientationModel {
             link: self,
-            common: CommonParameters::new(start, mount, moves, width),
+            parameters: Parameters::new(start, mount, moves, width),
             samples: Vec::new(),
-            drift_rad_s: 0.0,
             mount_rad: Err(NotObservable::NoFrame),
             world_from_base: fit.reference,
         };
@@ -153,25 +152,24 @@ fn axis_by_sine(rotation: &Rotation) -> Vec3 {
 #[derive(Clone)]
 struct OrientationModel<'a> {
     link: &'a Link<'a>,
-    common: CommonParameters,
+    parameters: Parameters,
     /// Stamps and decoded orientations.
     samples: Vec<(f64, Rotation)>,
-    drift_rad_s: f64,
     world_from_base: Rotation,
     /// Error of the logged mount before it is fixed.
     mount_rad: EstimateResult<MeasuredLength>,
 }
 
 impl OrientationModel<'_> {
-    const WORLD: Range<usize> = CommonParameters::WIDTH..CommonParameters::WIDTH + 3;
+    const WORLD: Range<usize> = Parameters::WIDTH..Parameters::WIDTH + 3;
     const DRIFT: usize = Self::WORLD.end;
     const LINKS_START: usize = Self::DRIFT + 1;
 
     /// A wrong mount must turn the orientations by more than usual errors of filters and arms.
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.known_mount().ok_or(NotObservable::NoFrame)?;
-        let length = self.common.mount_rad(Some(known), solved)?;
-        let error_in_link = known * self.common.mount_error_rad(&known);
+        let length = self.parameters.mount_rad(Some(known), solved)?;
+        let error_in_link = known * self.parameters.mount_error_rad(&known);
         let turned: Vec<Vec3> =
             self.states().map(|(.., state)| state.rotation * error_in_link).collect();
         let is_hidden =
@@ -184,24 +182,24 @@ impl OrientationModel<'_> {
 
     /// Stamps, decoded orientations and states of the link.
     fn states(&self) -> impl Iterator<Item = (f64, &Rotation, LinkState)> {
-        let mut joints = self.link.joints.sequence();
+        let (mut joints, delay) = (self.link.joints.sequence(), self.parameters.delay());
         self.samples.iter().filter_map(move |(stamp_s, truth)| {
-            let state = self.link.at(self.common.delay.truth_s(*stamp_s), &mut joints)?;
+            let state = self.link.at(delay.truth_s(*stamp_s), &mut joints)?;
             Some((*stamp_s, truth, state))
         })
     }
 
     /// Side of a slip with more samples.
     fn longer_side_s(&self) -> Option<Range<f64>> {
-        let (at_s, _) = self.common.effects.of(Block::Mount).next()?.profile.change_s()?;
+        let (at_s, _) = self.parameters.effects_on(Block::Mount).next()?.profile.change_s()?;
         let Range { start, end } = WHOLE_RUN_S;
         Some(if at_s > self.link.middle_s { start..at_s } else { at_s..end })
     }
 
     fn yaw_profile(&self, solved: &Solved) -> YawProfile {
         let mut profile = YawProfile::default();
-        for effect in self.common.effects.of(Block::Yaw) {
-            let size = || solved.measure(effect.columns.start, effect.values[0]).ok();
+        for effect in self.parameters.effects_on(Block::Yaw) {
+            let size = || solved.measure(effect.columns.start).ok();
             match effect.profile {
                 Profile::Step { at_s, .. } => {
                     profile.jumps.extend(size().map(|size_rad| YawJump { at_s, size_rad }));
@@ -219,12 +217,12 @@ impl OrientationModel<'_> {
                     };
                     let mut all: Vec<DVector<f64>> =
                         self.linearize().moments.iter().map(weights).collect();
-                    let values = DVector::from_column_slice(&effect.values);
+                    let values = &self.parameters.values[effect.columns.clone()];
+                    let values = DVector::from_column_slice(values);
                     all.sort_by(|a, b| a.dot(&values).total_cmp(&b.dot(&values)));
                     if let [min, .., max] = all.as_slice() {
                         let along = 0.5 * (max - min);
-                        let (columns, half) = (effect.columns.clone(), along.dot(&values));
-                        let amplitude = solved.measure_combination(columns, along.as_slice(), half);
+                        let amplitude = solved.measure_combination(effect.columns.clone(), &along);
                         profile.heading = amplitude
                             .ok()
                             .map(|amplitude_rad| HeadingError { amplitude_rad, axis });
@@ -239,8 +237,8 @@ impl OrientationModel<'_> {
 
     /// Yaw error relative to the middle of the run.
     fn yaw_at(&self, t_s: f64, world_from_imu: &Rotation) -> f64 {
-        self.drift_rad_s * (t_s - self.link.middle_s)
-            + self.common.effects.sum(Block::Yaw, t_s, world_from_imu).x
+        self.parameters.values[Self::DRIFT] * (t_s - self.link.middle_s)
+            + self.parameters.sum_of_effects(Block::Yaw, t_s, world_from_imu).x
     }
 
     /// Maps rotation axes of the link to the IMU's, as close to `expected` as the data allow.
@@ -253,14 +251,14 @@ impl OrientationModel<'_> {
             let by_imu = axis_by_sine(&(imu.inverse() * truth));
             correlation += by_link * by_imu.transpose();
         }
-        self.common.link_from_imu = mount_of(&correlation, &expected);
+        self.parameters.link_from_imu = mount_of(&correlation, &expected);
         self.init_world();
     }
 
     /// Average world rotation for the current mount.
     fn init_world(&mut self) {
         let world = |(stamp_s, truth, state): (f64, &Rotation, LinkState)| {
-            let base_from_imu = state.rotation * self.common.mount_at(stamp_s);
+            let base_from_imu = state.rotation * self.parameters.mount_at(stamp_s);
             let yaw_rad = self.yaw_at(stamp_s, &(self.world_from_base * base_from_imu));
             let truth = rotation_from_rotvec(Vec3::z() * -yaw_rad) * truth;
             truth * base_from_imu.inverse()
@@ -271,11 +269,10 @@ impl OrientationModel<'_> {
 
     /// Residual rotations and angular velocity by FK, with this latency compensated in addition to the model's.
     fn latency_samples(&self, solved: &Solved, late_s: &dyn Fn(f64) -> f64) -> Vec<LatencySample> {
-        let mut joints = self.link.joints.sequence();
+        let (mut joints, delay) = (self.link.joints.sequence(), self.parameters.delay());
         let samples =
             self.states().zip(&solved.residuals).filter_map(|((t_s, _, state), residual)| {
-                let then =
-                    self.link.at(self.common.delay.truth_s(t_s - late_s(t_s)), &mut joints)?;
+                let then = self.link.at(delay.truth_s(t_s - late_s(t_s)), &mut joints)?;
                 let turned = then.rotation * state.rotation.inverse();
                 let in_world = |by_link: Vec3| self.world_from_base * by_link;
                 let residual = residual - in_world(rotvec_from_rotation(&turned));
@@ -325,19 +322,19 @@ impl OrientationModel<'_> {
 impl Model for OrientationModel<'_> {
     const MODEL_ERROR: f64 = MODEL_ERROR_RAD;
 
-    fn common(&mut self) -> &mut CommonParameters {
-        &mut self.common
+    fn parameters(&mut self) -> &mut Parameters {
+        &mut self.parameters
     }
 
     /// FK noise is in the columns of mount and delay.
     fn linearize(&self) -> Linearization {
-        let common = &self.common;
-        let mut linearization = Linearization::new(common, self.samples.len(), FLOOR_RAD);
+        let parameters = &self.parameters;
+        let mut linearization = Linearization::new(parameters, self.samples.len(), FLOOR_RAD);
         let mut frames = Vec::new();
         for (t_s, truth, state) in self.states() {
-            let since_middle_s = t_s - common.delay.middle_s;
-            let base_from_imu = state.rotation * common.mount_at(t_s);
-            linearization.add_mount_noise(common, t_s, &base_from_imu, &state.rotation_noise);
+            let since_middle_s = t_s - parameters.middle_s;
+            let base_from_imu = state.rotation * parameters.mount_at(t_s);
+            linearization.add_mount_noise(parameters, t_s, &base_from_imu, &state.rotation_noise);
             if state.moving {
                 linearization.add_delay_noise(since_middle_s, state.rate_noise);
             }
@@ -361,19 +358,18 @@ impl Model for OrientationModel<'_> {
                 by_own: &by_own,
                 by_other_block: &[Vec3::z()],
             };
-            linearization.push(common, sample);
+            linearization.push(parameters, sample);
         }
         linearization
     }
 
-    fn apply(&mut self, delta: &[f64]) {
-        let turn = rotation_from_rotvec(Vec3::from_column_slice(&delta[Self::WORLD]));
+    fn turn(&mut self, step: &[f64]) {
+        let turn = rotation_from_rotvec(Vec3::from_column_slice(&step[Self::WORLD]));
         self.world_from_base = turn * self.world_from_base;
-        self.drift_rad_s += delta[Self::DRIFT];
     }
 
     fn free(&self) -> Vec<usize> {
-        CommonParameters::MOUNT.chain(Self::WORLD).chain([Self::DRIFT]).collect()
+        Parameters::MOUNT.chain(Self::WORLD).chain([Self::DRIFT]).collect()
     }
 
     fn restores_logged_mount(&mut self, solved: &Solved) -> bool {
@@ -381,14 +377,14 @@ impl Model for OrientationModel<'_> {
         let is_wrong =
             self.mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
         let Some(known) = self.link.known_mount().filter(|_| !is_wrong) else { return false };
-        self.common.link_from_imu = known;
+        self.parameters.link_from_imu = known;
         self.init_world();
         true
     }
 
     fn columns_of(block: Block) -> Range<usize> {
         match block {
-            Block::Mount => CommonParameters::MOUNT,
+            Block::Mount => Parameters::MOUNT,
             Block::World => Self::WORLD,
             // About the vertical.
             _ => Self::WORLD.end - 1..Self::WORLD.end,
@@ -400,12 +396,12 @@ impl Model for OrientationModel<'_> {
     }
 
     /// Rotations of the links between the first and the last joint, and effects.
-    fn priors(&self) -> Vec<Prior> {
+    fn priors(&self) -> Vec<(usize, f64)> {
         let links = Self::LINKS_START..Self::LINKS_START + 3 * self.link.inner_links();
         // The constant rotations absorb about half of the deviations.
         let by_fk_error = self.link.stream.fk_error_rad.powi(2) / (0.5 * links.len() as f64);
         let variance = LINK_PRIOR_RAD.powi(2).max(by_fk_error);
-        let links = links.map(|column| Prior { column, variance, value: 0.0 });
-        links.chain(self.common.effects.priors()).collect()
+        let links = links.map(|column| (column, variance.recip()));
+        links.chain(self.parameters.effect_priors()).collect()
     }
 }

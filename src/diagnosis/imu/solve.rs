@@ -1,6 +1,6 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
-use super::model::{Linearization, Model, Prior};
+use super::model::{Linearization, Model};
 use crate::solver::linear::Weight;
 use crate::solver::robust::{pseudo_inverse, sandwich};
 use crate::{EstimateResult, Measured, NotObservable};
@@ -15,6 +15,8 @@ pub(super) struct Solved {
     /// Unobservable directions over all columns; the fit did not change them.
     fixed: Vec<DVector<f64>>,
     dof: f64,
+    /// Fitted parameters.
+    values: Vec<f64>,
     /// Residuals after the random effects.
     pub residuals: Vec<Vec3>,
 }
@@ -30,8 +32,8 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let [mut excited, mut fixed] = excited_directions(model, &linearization, free);
     let mut all = free.to_vec();
     let mut precision = DVector::zeros(width);
-    for Prior { column, variance, .. } in model.priors() {
-        precision[column] = variance.recip();
+    for (column, of_column) in model.priors() {
+        precision[column] = of_column;
         if !free.contains(&column) {
             excited.push(unit(width, column));
             all.push(column);
@@ -43,18 +45,16 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let mut steps = 0;
     let (linear, fit) = loop {
         let linear = linearization.linear;
-        let mut pull = DVector::zeros(width);
-        for prior in model.priors() {
-            pull[prior.column] = -prior.value / prior.variance;
-        }
+        let values = DVector::from_column_slice(&model.parameters().values);
+        let pull = -values.component_mul(&precision);
         let fit = linear.reweighted_fit(2, |normal| {
             // Without the design noise, a step would overshoot where a prior shares its direction.
             let matrix = basis.tr_mul(&normal.matrix) * &basis + &prior;
             &basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&(&normal.right + &pull)))
         });
         let largest = free.iter().map(|&at| fit.step[at].abs()).fold(0.0, f64::max);
-        model.common().apply(fit.step.as_slice());
-        model.apply(fit.step.as_slice());
+        model.parameters().apply(fit.step.as_slice(), free);
+        model.turn(fit.step.as_slice());
         steps += 1;
         if steps == MAX_STEPS || largest < CONVERGED_STEP {
             break (linear, fit);
@@ -77,7 +77,8 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
     let dof = fit.normal.dof(all.len() - random);
     let residuals = fit.residuals.into_iter().flatten().collect();
-    Solved { free: all, covariance, fixed, dof, residuals }
+    let values = model.parameters().values.clone();
+    Solved { free: all, covariance, fixed, dof, values, residuals }
 }
 
 /// Combinations of the `free` parameters that the motion excites, and those that it does not.
@@ -97,7 +98,7 @@ fn excited_directions(
     free.sort_unstable();
     let (mut excited, mut fixed) = (units(&free), Vec::new());
     let own_group = model.own_group();
-    for group in [own_group].into_iter().chain(model.common().groups()) {
+    for group in [own_group].into_iter().chain(model.parameters().groups()) {
         let own: Vec<usize> = group.filter(|column| free.contains(column)).collect();
         if own.is_empty() {
             continue;
@@ -143,20 +144,18 @@ fn without_noise(mut information: DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix
 const MAX_FIXED_SHARE: f64 = 1e-3;
 
 impl Solved {
-    /// Estimate with fitted `value`.
-    pub fn measure(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
-        self.measure_combination(parameter..parameter + 1, &[1.0], value)
+    pub fn measure(&self, parameter: usize) -> EstimateResult<Measured> {
+        self.measure_combination(parameter..parameter + 1, &DVector::from_element(1, 1.0))
     }
 
-    /// Estimate of a linear combination with fitted `value`.
+    /// Estimate of a linear combination.
     pub fn measure_combination(
         &self,
         parameters: Range<usize>,
-        along: &[f64],
-        value: f64,
+        along: &DVector<f64>,
     ) -> EstimateResult<Measured> {
-        let along = DVector::from_column_slice(along);
-        let variance = along.dot(&(self.block(parameters)? * &along));
+        let value = along.dot(&DVector::from_column_slice(&self.values[parameters.clone()]));
+        let variance = along.dot(&(self.block(parameters)? * along));
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
