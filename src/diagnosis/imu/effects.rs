@@ -34,6 +34,7 @@ impl Block {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Profile {
+    Constant,
     /// Time and its 95 % interval.
     Step {
         at_s: f64,
@@ -70,6 +71,7 @@ impl Profile {
     /// Values of its functions.
     pub fn weights(&self, t_s: f64, world_from_imu: &Rotation) -> Vec<f64> {
         match *self {
+            Self::Constant => vec![1.0],
             Self::Step { at_s, .. } => vec![f64::from(t_s > at_s)],
             Self::Decay { first_s, time_constant_s } => {
                 vec![(-(t_s - first_s) / time_constant_s).exp()]

@@ -76,7 +76,8 @@ struct ExtendedFit {
     gain: f64,
     base: DVector<f64>,
     added: DVector<f64>,
-    log_det: f64,
+    /// Twice the log of the prior volume of the added parameters over the posterior one.
+    occam: f64,
 }
 
 impl Products {
@@ -143,7 +144,7 @@ impl<'a> ExtensionTests<'a> {
             Shape::Heading => {
                 let about = |axis: usize| {
                     let profile = Profile::Heading { axis };
-                    Some((self.compare(columns.clone(), &weights_of(profile), size)?.0, profile))
+                    Some((self.compare(columns.clone(), profile, size)?.0, profile))
                 };
                 (0..3).rev().filter_map(about).max_by(|a, b| a.0.total_cmp(&b.0))
             }
@@ -190,8 +191,7 @@ impl<'a> ExtensionTests<'a> {
             at_s = 0.5 * (self.moments[next - 1].t_s + self.moments[next].t_s);
         }
         let step = |interval_s| Profile::Step { at_s, interval_s };
-        let (log_bayes_factor, variance) =
-            self.compare(columns, &weights_of(step([at_s; 2])), size)?;
+        let (log_bayes_factor, variance) = self.compare(columns, step([at_s; 2]), size)?;
         // 95 % likelihood region.
         let limit = cost(at_s) + 3.84 * variance;
         let end = |sign: f64| {
@@ -237,7 +237,7 @@ impl<'a> ExtensionTests<'a> {
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
         let time_constant_s = best_candidate(finer, |tau_s| cost(tau_s, &fine))?;
         let profile = Profile::Decay { first_s, time_constant_s };
-        Some((self.compare(columns, &weights_of(profile), size)?.0, profile))
+        Some((self.compare(columns, profile, size)?.0, profile))
     }
 
     fn walk(&self, columns: Range<usize>) -> Option<(f64, Profile)> {
@@ -262,14 +262,14 @@ impl<'a> ExtensionTests<'a> {
             step_s: joined * step_s,
             increments: (count / joined).ceil() as usize,
         };
-        let joined = self.extension(columns.clone(), &weights_of(walk(0.0, JOINED_INCREMENTS)));
-        let whole = self.extension(columns, &weights_of(walk(0.0, 1.0)));
+        let joined = self.extension(columns.clone(), walk(0.0, JOINED_INCREMENTS));
+        let whole = self.extension(columns, walk(0.0, 1.0));
         let likeliest = |noise: &IndependentNoise| {
             let fit = self.base_fit(noise.variance)?;
             let typical = noise.variance * count / whole.products.own.trace();
             let cost = |variance: f64| {
-                let evidence = noise.evidence(&fit, &whole.products, variance);
-                evidence.map_or(f64::INFINITY, |evidence| -evidence)
+                let extended = fit.extend(&whole.products, noise.variance / variance);
+                extended.map_or(f64::INFINITY, |extended| -noise.evidence(&extended))
             };
             let coarse =
                 best_candidate(POWERS_OF_TWO.map(|power| typical * 2f64.powi(power)), cost)?;
@@ -290,15 +290,15 @@ impl<'a> ExtensionTests<'a> {
         Some((log_bayes_factor, walk((variance / step_s).sqrt(), 1.0)))
     }
 
-    /// Twice the log Bayes factor of an extension by `columns`, each scaled by every one of `weights`, with parameters
-    /// of the prior `size`; and the variance of independent noise.
+    /// Twice the log Bayes factor of an extension by `columns`, each scaled by every function of `profile`, with
+    /// parameters of the prior `size`; and the variance of independent noise.
     pub fn compare(
         &self,
         columns: Range<usize>,
-        weights: &impl Fn(&Moment) -> Vec<f64>,
+        profile: Profile,
         size: f64,
     ) -> Option<(f64, f64)> {
-        let extension = self.extension(columns, weights);
+        let extension = self.extension(columns, profile);
         let noise = self.noise_with(self.variance, &extension, self.variance / size.powi(2))?;
         let log_bayes_factor = self.evidence(&extension, size.powi(2), noise)?;
         log_bayes_factor.is_finite().then_some((log_bayes_factor, noise.variance))
@@ -321,8 +321,7 @@ impl<'a> ExtensionTests<'a> {
             let [before, after] = [before, after].map(Vec3::norm_squared);
             before.min(self.outlier) - after.min(self.outlier) - weight * (before - after)
         });
-        let evidence = noise.evidence(&fit, &extension.products, variance)?;
-        Some(evidence + by_outliers.sum::<f64>() / noise.variance)
+        Some(noise.evidence(&extended) + by_outliers.sum::<f64>() / noise.variance)
     }
 
     /// Noise with additional columns, by a fit for `variance`. `precision` is that of their prior, times the variance.
@@ -359,18 +358,16 @@ impl<'a> ExtensionTests<'a> {
         by_sample(&(&self.residual - &self.base * &fit.base - &extension.design * &fit.added))
     }
 
-    fn extension(
-        &self,
-        columns: Range<usize>,
-        weights: &impl Fn(&Moment) -> Vec<f64>,
-    ) -> Extension {
+    fn extension(&self, columns: Range<usize>, profile: Profile) -> Extension {
         /// Share of the columns' squares in a component that they change.
         const MIN_SHARE: f64 = 1e-3;
         let columns = design(self.linear, columns);
         let squares = [0, 1, 2]
             .map(|axis| columns.rows_with_step(axis, self.moments.len(), 2).norm_squared());
         let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
-        let weights: Vec<Vec<f64>> = self.moments.iter().map(weights).collect();
+        let weights = self.moments.iter();
+        let weights = weights.map(|moment| profile.weights(moment.t_s, &moment.world_from_imu));
+        let weights: Vec<Vec<f64>> = weights.collect();
         let width = columns.ncols() * weights.first().map_or(0, Vec::len);
         let design = DMatrix::from_fn(columns.nrows(), width, |row, at| {
             weights[row / 3][at / columns.ncols()] * columns[(row, at % columns.ncols())]
@@ -416,18 +413,11 @@ fn by_sample(residual: &DVector<f64>) -> Vec<Vec3> {
     residual.as_slice().chunks_exact(3).map(Vec3::from_column_slice).collect()
 }
 
-fn weights_of(profile: Profile) -> impl Fn(&Moment) -> Vec<f64> {
-    move |moment| profile.weights(moment.t_s, &moment.world_from_imu)
-}
-
 impl IndependentNoise {
-    /// Twice the log Bayes factor of additional parameters with this prior variance. Counts one parameter for the
-    /// time, time constant or axis that selected them.
-    fn evidence(&self, fit: &BaseFit, added: &Products, variance: f64) -> Option<f64> {
-        let precision = self.variance / variance;
-        let extended = fit.extend(added, precision)?;
-        let occam = extended.log_det - extended.added.len() as f64 * precision.ln();
-        Some(extended.gain / self.variance - occam - price(self.independent))
+    /// Twice the log Bayes factor of additional parameters. Counts one parameter for the time, time constant or axis
+    /// that selected them.
+    fn evidence(&self, extended: &ExtendedFit) -> f64 {
+        extended.gain / self.variance - extended.occam - price(self.independent)
     }
 }
 
@@ -445,8 +435,8 @@ impl BaseFit {
         Some(ExtendedFit {
             gain: right.dot(&parameters),
             base: &self.parameters - by_base * &parameters,
+            occam: cholesky.ln_determinant() - parameters.len() as f64 * precision.ln(),
             added: parameters,
-            log_det: cholesky.ln_determinant(),
         })
     }
 

@@ -36,8 +36,7 @@ const MAX_SHARED_END_CORRELATION: f64 = -0.2;
 pub(super) struct GyroFit {
     /// Its mount is that of the gyro's axes.
     pub diagnosis: ImuDiagnosis,
-    pub delay: Delay,
-    pub link_from_imu: Rotation,
+    pub parameters: Parameters,
     solved: Solved,
     /// Error of the rotation by FK, relative to the rotation.
     relative_fk_error: f64,
@@ -46,7 +45,7 @@ pub(super) struct GyroFit {
 impl GyroFit {
     /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`.
     pub fn rotation_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
-        let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
+        let imu_from_gyro = link_from_imu.inverse() * self.parameters.link_from_imu;
         let rotation = rotvec_from_rotation(&imu_from_gyro);
         let mut size_rad =
             self.solved.observable_length(Parameters::MOUNT, rotation.as_slice()).ok()?;
@@ -111,13 +110,7 @@ impl Link<'_> {
             gyro_bias: model.bias(&solved, relative_fk_error),
             ..found
         };
-        Ok(GyroFit {
-            diagnosis,
-            delay: parameters.delay(),
-            link_from_imu: parameters.link_from_imu,
-            solved,
-            relative_fk_error,
-        })
+        Ok(GyroFit { diagnosis, parameters: model.parameters, solved, relative_fk_error })
     }
 
     /// Mount that maps the link's rates to the gyro's, as close to the logged one as the data allow.
@@ -320,9 +313,9 @@ impl GyroModel<'_> {
             .collect();
         let tests = ExtensionTests::new(&linearization, &base, Self::MODEL_ERROR);
         let scored = [Self::COMMON_SCALE, Self::SCALE_ENTRIES].into_iter().filter_map(|columns| {
-            let test =
-                tests.as_ref()?.compare(columns.clone(), &|_| vec![1.0], GYRO_SCALE_PRIOR)?;
-            Some((columns, test.0))
+            let tests = tests.as_ref()?;
+            let factor = tests.compare(columns.clone(), Profile::Constant, GYRO_SCALE_PRIOR)?.0;
+            Some((columns, factor))
         });
         let mut likely: Vec<_> = scored.filter(|(_, factor)| *factor > 0.0).collect();
         likely.sort_by(|a, b| b.1.total_cmp(&a.1));

@@ -80,7 +80,7 @@ pub(super) fn diagnose_converted_imu(
         Err(NotObservable::NoOrientation)
     } else {
         // The gyro's delay is independent of the convention and more precise than the speed correlation.
-        let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
+        let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.parameters.delay());
         link.fit_orientation(start, moves, by_gyro)
     };
     let by_orientation = orientation.as_ref().ok().and_then(|found| found.link_from_imu);
@@ -145,7 +145,7 @@ fn gyro_axes_rotation(
         .rotation_against(link_from_imu)
         .filter(|rotation| rotation.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
     let [by_gyro, by_imu] =
-        [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
+        [gyro.parameters.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
     Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..rotation })
 }
 

@@ -229,6 +229,7 @@ impl OrientationModel<'_> {
                     }
                 }
                 Profile::Walk { density, .. } => profile.walk_rad_per_sqrt_s = Some(density),
+                Profile::Constant => {}
             }
         }
         profile.jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
