@@ -199,12 +199,8 @@ fn share_stamps(joints_s: &[f64], stream_s: &[f64]) -> bool {
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
     /// Rounding.
     const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-6;
-    let is_constant = match logged {
-        Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
-        Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
-        Orientations::Unset(_) => return false,
-    };
-    !is_constant || max_angle(fk) <= MIN_TURN_RAD
+    let is_logged = !matches!(logged, Orientations::Unset(_));
+    is_logged && (turn_rad(logged) >= MAX_CONSTANT_CHANGE_RAD || max_angle(fk) <= MIN_TURN_RAD)
 }
 
 /// Largest turn from the first rotation, rad; of numbers, the largest change of one.

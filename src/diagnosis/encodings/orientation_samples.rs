@@ -2,8 +2,8 @@
 
 use super::axis_convention::{PositionEncoding, axes_matrix};
 use super::rotation::{
-    EncodingFit, LoggedRotations, LoggedValues, RotationSamples, estimate_encoding, fit_known,
-    number_encodings, simple_encodings,
+    EncodingFit, FreeFrameErrors, LoggedRotations, LoggedValues, RotationSamples,
+    estimate_encoding, fit_known, number_encodings, simple_encodings,
 };
 use crate::PoseEncoding;
 use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
@@ -126,8 +126,11 @@ impl RotationSamples<'_> {
         let turned: Vec<Rotation> = self.fk.iter().map(|fk| reference * fk).collect();
         evaluate(&RotationSamples {
             fk: &turned,
-            reference_free: interpretation.reference.is_none(),
-            reference_known: self.reference_known || interpretation.reference.is_some(),
+            frames: if interpretation.reference.is_some() {
+                &FreeFrameErrors::OF_TOOL
+            } else {
+                self.frames
+            },
             logged: interpretation.rotations(self.logged),
             ..*self
         })
@@ -151,7 +154,7 @@ impl RotationSamples<'_> {
             found.as_ref().is_ok_and(|(_, _, fit)| fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD)
         };
         let best = self.best(interpretations);
-        if self.reference_known || fits(&best) {
+        if self.is_reference_known() || fits(&best) {
             return best;
         }
         let free = self.best(vec![unanchored]);

@@ -47,10 +47,8 @@ const CONTRADICTION_RANK_PENALTY: u8 = 2;
 pub(crate) struct RotationSamples<'a> {
     pub logged: LoggedRotations<'a>,
     pub fk: &'a [Rotation],
-    /// Whether the reference may have an error.
-    pub reference_free: bool,
-    /// If not, its rotation is not a fault.
-    pub reference_known: bool,
+    /// Frame errors to fit; only the first is faultless.
+    pub frames: &'static [FreeFrameErrors],
     /// Whether components may be permuted.
     pub are_quaternions: bool,
     /// Whether rotations are as logged.
@@ -63,8 +61,7 @@ impl<'a> RotationSamples<'a> {
         Self {
             logged,
             fk,
-            reference_free: true,
-            reference_known,
+            frames: if reference_known { &FreeFrameErrors::ALL } else { &FreeFrameErrors::UNKNOWN },
             are_quaternions: true,
             only_as_logged: false,
         }
@@ -168,6 +165,12 @@ pub(crate) enum FreeFrameErrors {
 }
 
 impl FreeFrameErrors {
+    pub const ALL: [Self; 4] = [Self::None, Self::Tool, Self::Reference, Self::Both];
+    /// If the reference has no error.
+    pub const OF_TOOL: [Self; 2] = [Self::None, Self::Tool];
+    /// If the reference is unknown, so that its rotation is not a fault.
+    const UNKNOWN: [Self; 2] = [Self::Reference, Self::Both];
+
     pub fn frame_count(self) -> u8 {
         match self {
             Self::None => 0,
@@ -203,6 +206,10 @@ impl PoseEncoding {
 }
 
 impl RotationSamples<'_> {
+    pub fn is_reference_known(&self) -> bool {
+        self.frames[0] == FreeFrameErrors::None
+    }
+
     fn candidates(&self, encoding: PoseEncoding) -> CandidateRotations {
         let mut candidates = CandidateRotations::default();
         let samples = 0..self.logged.len();
@@ -272,7 +279,7 @@ pub(crate) fn estimate_imu_encoding(
         let is_contradicted = fit.residual_rad <= accepted.max(by_links)
             && ((!may_tilt && tilts_gravity(fit, samples, forces)) || contradicts_gyro(&fit.tool));
         let penalty = if is_contradicted { CONTRADICTION_RANK_PENALTY } else { 0 };
-        simplicity(fit, samples.reference_known) + penalty
+        simplicity(fit, samples.is_reference_known()) + penalty
     };
     let ranked: Vec<(u8, &EncodingFit)> = fits.iter().map(|fit| (rank_of(fit), fit)).collect();
     // With the same frame errors, another encoding must explain more than link deviations. So must frame errors with
@@ -379,7 +386,7 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 /// without a fault and `agrees` with other sensors, other frames cannot win and are not tried. Numbers fit
 /// without a fault in any convention.
 fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) -> Vec<EncodingFit> {
-    let mut frames = allowed_frames(samples);
+    let mut frames = samples.frames;
     let faultless = match samples.logged.values {
         LoggedValues::Rotations(_) => vec![PoseEncoding::AsLogged],
         LoggedValues::Numbers(_) => candidate_encodings(samples),
@@ -486,20 +493,6 @@ fn residual_bound(candidates: &CandidateRotations, fk: &[Rotation]) -> f64 {
     (squares[..kept_pairs].iter().sum::<f64>() / (2 * kept) as f64).sqrt()
 }
 
-/// Frame errors to fit; only the first is faultless.
-fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
-    match (samples.reference_known, samples.reference_free) {
-        (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],
-        (true, false) => &[FreeFrameErrors::None, FreeFrameErrors::Tool],
-        (true, true) => &[
-            FreeFrameErrors::None,
-            FreeFrameErrors::Tool,
-            FreeFrameErrors::Reference,
-            FreeFrameErrors::Both,
-        ],
-    }
-}
-
 /// One fit of an encoding with its candidates per entry of `frames`.
 fn fits(
     encoding: PoseEncoding,
@@ -524,10 +517,10 @@ fn fits(
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
     let candidates = samples.candidates(encoding);
-    let fits = fits(encoding, &candidates, samples.fk, allowed_frames(samples));
+    let fits = fits(encoding, &candidates, samples.fk, samples.frames);
     let max_residual = max_similar(min_residual_rad(&fits)?);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
-    max_residual.min_by_key(|fit| simplicity(fit, samples.reference_known))
+    max_residual.min_by_key(|fit| simplicity(fit, samples.is_reference_known()))
 }
 
 /// Rms angle to `reference · fk · tool` over the best 90 %.
