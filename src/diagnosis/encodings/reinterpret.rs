@@ -35,11 +35,9 @@ pub fn reinterpret_poses(
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let Orientations::Rotations(logged) = &track.orientation else { return None };
     let lag_s = stream_lag_s(joints, stream, max_lag_s);
-    let mut fk = FkSequence::new(joints, chain, columns);
-    let expected =
-        track.t_s.iter().map(|stamp_s| Some(known[0] * fk.at(stamp_s - lag_s)?.rotation));
-    let expected: Vec<Option<Rotation>> = expected.collect();
-    let candidates = decode_rotations(logged, &intended, &expected, &known[1], reference_known)?;
+    let fk = FkSequence::new(joints, chain, columns);
+    let truth_s = track.t_s.iter().map(|stamp_s| stamp_s - lag_s);
+    let candidates = decode_rotations(logged, &intended, fk, truth_s, known, reference_known)?;
     let is_inverted = intended.is_inverted || matches!(intended.encoding, PoseEncoding::Inverted);
     let xyz = candidates.iter().zip(&track.xyz).map(|(rotation, xyz)| {
         let xyz = intended.axes.positions.to_standard(*xyz);
@@ -49,16 +47,19 @@ pub fn reinterpret_poses(
     Some(PoseTrack { xyz, orientation: Orientations::Rotations(candidates), ..track.clone() })
 }
 
-/// Decodes `logged` as `intended`, nearest to `expected` up to constant frames and a known `tool`. Samples
-/// without FK follow the previous one.
+/// Decodes `logged` as `intended`, nearest to `fk` at these times up to constant frames on top of `known`. Samples without
+/// FK follow the previous one.
 pub(crate) fn decode_rotations(
     logged: &[Rotation],
     intended: &IntendedEncoding,
-    expected: &[Option<Rotation>],
-    tool: &Rotation,
+    mut fk: FkSequence,
+    truth_s: impl Iterator<Item = f64>,
+    [reference, tool]: [Rotation; 2],
     reference_known: bool,
 ) -> Option<Vec<Rotation>> {
-    let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)? * tool)));
+    let expected = truth_s.map(|truth_s| Some(reference * fk.at(truth_s)?.rotation * tool));
+    let expected: Vec<Option<Rotation>> = expected.collect();
+    let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)?)));
     let known: Vec<(usize, Rotation)> = known.collect();
     let (rows, fk): (Vec<usize>, Vec<Rotation>) = thinned(known, MAX_FIT_SAMPLES).unzip();
     let there: Vec<Rotation> = rows.iter().map(|&row| logged[row]).collect();
@@ -72,7 +73,7 @@ pub(crate) fn decode_rotations(
     let fit = fit_known(&samples, intended.encoding)?;
     let mut last = fit.reference * fk[0] * fit.tool;
     let decode = |(row, fk): (usize, &Option<Rotation>)| {
-        let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
+        let expected = fk.map_or(last, |fk| fit.reference * fk * fit.tool);
         last = logged.nearest(intended.encoding, row, &expected)?;
         Some(last)
     };

@@ -422,27 +422,26 @@ fn nearest_fits(
     factor: f64,
 ) -> Vec<Vec<EncodingFit>> {
     let encodings = candidate_encodings(samples);
-    let candidates_and_bound = |&encoding: &PoseEncoding| {
-        let candidates = samples.candidates(encoding);
-        let bound = residual_bound(&candidates, samples.fk);
-        (candidates, bound)
+    let is_as_logged = |candidate: usize| matches!(encodings[candidate], PoseEncoding::AsLogged);
+    let with_bound = |(candidate, &encoding): (usize, &PoseEncoding)| {
+        let rotations = samples.candidates(encoding);
+        let bound = match is_as_logged(candidate) {
+            true => f64::NEG_INFINITY,
+            false => residual_bound(&rotations, samples.fk),
+        };
+        (bound, candidate, rotations)
     };
-    let (candidates, bounds): (Vec<CandidateRotations>, Vec<f64>) =
-        encodings.par_iter().map(candidates_and_bound).unzip();
-    let is_as_logged = |&candidate: &usize| matches!(encodings[candidate], PoseEncoding::AsLogged);
-    let mut nearest: Vec<usize> = (0..encodings.len()).collect();
-    nearest.sort_by(|a, b| {
-        let order = bounds[*a].total_cmp(&bounds[*b]);
-        is_as_logged(b).cmp(&is_as_logged(a)).then(order)
-    });
+    let mut nearest: Vec<(f64, usize, CandidateRotations)> =
+        encodings.par_iter().enumerate().map(with_bound).collect();
+    nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut fitted: Vec<(f64, usize, Vec<EncodingFit>)> = Vec::new();
     let mut limit = f64::INFINITY;
     for batch in nearest.chunks(MIN_FITTED) {
-        if !is_as_logged(&batch[0]) && bounds[batch[0]] > limit {
+        if batch[0].0 > limit {
             break;
         }
-        let fit = |&candidate: &usize| {
-            let fits = fits(encodings[candidate], &candidates[candidate], samples.fk, frames);
+        let fit = |&(_, candidate, ref rotations): &(f64, usize, CandidateRotations)| {
+            let fits = fits(encodings[candidate], rotations, samples.fk, frames);
             (min_residual_rad(&fits).unwrap_or(f64::INFINITY), candidate, fits)
         };
         fitted.par_extend(batch.par_iter().map(fit));
@@ -452,7 +451,7 @@ fn nearest_fits(
     }
     fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let limit = fitted.get(MIN_FITTED - 1).map_or(f64::INFINITY, |last| last.0.max(limit));
-    fitted.retain(|(residual, candidate, _)| *residual <= limit || is_as_logged(candidate));
+    fitted.retain(|(residual, candidate, _)| *residual <= limit || is_as_logged(*candidate));
     fitted.sort_by_key(|(_, candidate, _)| *candidate);
     fitted.into_iter().map(|(.., fits)| fits).collect()
 }

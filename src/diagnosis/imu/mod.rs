@@ -191,12 +191,11 @@ pub fn reinterpret_imu(
     let numbers = ImuConventions::default();
     let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(max_lag_s).first().map_or(0.0, |peak| peak.lag_s);
-    let mut fk = FkSequence::new(joints, stream.chain, stream.columns);
-    let mut by_fk = |stamp_s: &f64| fk.at(stamp_s - lag_s).map(|pose| pose.rotation);
-    let expected: Vec<Option<Rotation>> = stream.track.t_s.iter().map(&mut by_fk).collect();
-    let mount = link.known_mount().unwrap_or_default();
+    let fk = FkSequence::new(joints, stream.chain, stream.columns);
+    let truth_s = stream.track.t_s.iter().map(|stamp_s| stamp_s - lag_s);
+    let known = [Rotation::identity(), link.known_mount().unwrap_or_default()];
     let intended = IntendedEncoding { encoding, axes: AxesError::NONE, is_inverted: false };
-    decode_rotations(&stream.track.orientation, &intended, &expected, &mount, false)
+    decode_rotations(&stream.track.orientation, &intended, fk, truth_s, known, false)
 }
 
 /// Delay of stamps relative to the measured time: `latency + skew·(stamp − middle)`.
