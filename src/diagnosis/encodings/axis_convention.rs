@@ -201,27 +201,24 @@ impl<'a> EncodingSearch<'a> {
         let StreamPositions { constant, reference_known, .. } = *self.positions;
         let scale = Some(metres.recip());
         let mut found = Vec::new();
-        let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
-        for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
-            let turn = axes_matrix(axes);
-            for free in FreeOffsets::ALL {
-                let Some(solved) = self.solve(&turn, scale, free) else { continue };
-                if reference_known || constant.is_some() {
-                    found.push(self.encoding(metres, Some(axes), turn, &solved, free));
-                }
-                if free.tool && free.shift {
-                    starts[usize::from(axes.are_left_handed())].push((solved.residual_m, turn));
+        for is_left_handed in [false, true].into_iter().filter(|is| any || !is) {
+            let mut starts: Vec<(f64, Matrix3<f64>)> = Vec::new();
+            for axes in axes_of_hand(is_left_handed) {
+                let turn = axes_matrix(axes);
+                for free in FreeOffsets::ALL {
+                    let Some(solved) = self.solve(&turn, scale, free) else { continue };
+                    if reference_known || constant.is_some() {
+                        found.push(self.encoding(metres, Some(axes), turn, &solved, free));
+                    }
+                    if free.tool && free.shift && constant.is_none() {
+                        starts.push((solved.residual_m, turn));
+                    }
                 }
             }
-        }
-        if constant.is_some() {
-            return found;
-        }
-        for (starts, sign) in starts.iter_mut().zip([1.0, -1.0]) {
             starts.sort_by(|a, b| a.0.total_cmp(&b.0));
             for (_, start) in starts.iter().take(2) {
                 for free in [FreeOffsets::SHIFT, FreeOffsets::BOTH] {
-                    let rotated = self.best_rotation(*start, sign, scale, free);
+                    let rotated = self.best_rotation(*start, scale, free);
                     found.extend(
                         rotated.map(|(turn, it)| self.encoding(metres, None, turn, &it, free)),
                     );
@@ -266,11 +263,10 @@ impl<'a> EncodingSearch<'a> {
         };
         let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
         let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
-        for sign in [1.0, -1.0] {
-            let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
+        for is_left_handed in [false, true] {
             let mut solutions: Vec<EncodingSolution> = Vec::new();
             for free in [FreeOffsets::SHIFT, FreeOffsets::BOTH] {
-                let fits = Axes::all().iter().filter(of_sign).filter_map(|&axes| {
+                let fits = axes_of_hand(is_left_handed).filter_map(|axes| {
                     let turn = axes_matrix(axes);
                     Some((turn, self.solve(&turn, None, free)?))
                 });
@@ -278,7 +274,7 @@ impl<'a> EncodingSearch<'a> {
                 let nearest = fits.iter().min_by(|a, b| a.1.residual_m.total_cmp(&b.1.residual_m));
                 let start = nearest.map(|(turn, _)| *turn).filter(|_| constant.is_none());
                 solutions.extend(fits.into_iter().map(|(_, solved)| solved));
-                let rotated = start.and_then(|start| self.best_rotation(start, sign, None, free));
+                let rotated = start.and_then(|start| self.best_rotation(start, None, free));
                 solutions.extend(rotated.map(|(_, solved)| solved));
             }
             // Prefer the fits without a tool, which can hide the scale of a motion about a point.
@@ -353,7 +349,6 @@ impl<'a> EncodingSearch<'a> {
     fn best_rotation(
         &self,
         start: Matrix3<f64>,
-        sign: f64,
         scale: Option<f64>,
         free: FreeOffsets,
     ) -> Option<(Matrix3<f64>, EncodingSolution)> {
@@ -369,7 +364,7 @@ impl<'a> EncodingSearch<'a> {
             last = solved.residual_m;
             let of = |fk: &Pose| solved.scale * fk.translation.vector + fk.rotation * solved.tool;
             let points: Vec<Vec3> = self.fk.iter().map(of).collect();
-            turn = rigid_rotation(&points, self.positions.xyz, sign)?;
+            turn = rigid_rotation(&points, self.positions.xyz, start.determinant().signum())?;
         }
         None
     }
@@ -389,6 +384,10 @@ impl AxisSums {
         }
         sums
     }
+}
+
+fn axes_of_hand(is_left_handed: bool) -> impl Iterator<Item = Axes> {
+    Axes::all().iter().copied().filter(move |axes| axes.are_left_handed() == is_left_handed)
 }
 
 /// Matrix from base directions to `axes`.
