@@ -2,7 +2,7 @@
 //! yaw that jumps, depends on the heading or settles after power-on differ only in block and profile.
 
 use super::extension_tests::ExtensionTests;
-use super::model::{Model, Parameters};
+use super::model::{Column, Model, Parameters};
 use super::solve::Solved;
 use crate::priors::{BIAS_PRIOR_RAD_S, MOUNT_PRIOR_RAD, YAW_PRIOR_RAD};
 use crate::solver::linear::Rows;
@@ -110,26 +110,16 @@ impl Effect {
     fn is_walk(&self) -> bool {
         matches!(self.profile, Profile::Walk { .. })
     }
+
+    fn prior_variance(&self) -> f64 {
+        match self.profile {
+            Profile::Walk { density, step_s, .. } => density.powi(2) * step_s,
+            _ => self.block.prior().powi(2),
+        }
+    }
 }
 
 impl Parameters {
-    /// Columns of the effects that are part of the state.
-    pub fn effect_columns(&self) -> impl Iterator<Item = usize> {
-        let effects = self.effects.iter().filter(|effect| !effect.is_walk());
-        effects.flat_map(|effect| effect.columns.clone())
-    }
-
-    /// Columns of all effects, with the precisions of their priors.
-    pub fn effect_priors(&self) -> impl Iterator<Item = (usize, f64)> {
-        self.effects.iter().flat_map(|effect| {
-            let variance = match effect.profile {
-                Profile::Walk { density, step_s, .. } => density.powi(2) * step_s,
-                _ => effect.block.prior().powi(2),
-            };
-            effect.columns.clone().map(move |column| (column, variance.recip()))
-        })
-    }
-
     pub fn effects_on(&self, block: Block) -> impl Iterator<Item = &Effect> {
         self.effects.iter().filter(move |effect| effect.block == block)
     }
@@ -144,8 +134,9 @@ impl Parameters {
         for effect in self.effects_on(block).filter(|effect| !effect.is_walk()) {
             let weights = effect.profile.weights(t_s, world_from_imu);
             let each = effect.columns.len() / weights.len();
-            for (values, weight) in self.values[effect.columns.clone()].chunks(each).zip(weights) {
-                values.iter().enumerate().for_each(|(at, value)| sum[at] += weight * value);
+            let functions = self.columns[effect.columns.clone()].chunks(each);
+            for (columns, weight) in functions.zip(weights) {
+                columns.iter().enumerate().for_each(|(at, it)| sum[at] += weight * it.value);
             }
         }
         sum
@@ -171,20 +162,23 @@ impl Parameters {
     }
 
     fn remove_effects(&mut self, block: Block) {
-        let (effects, values) = (std::mem::take(&mut self.effects), self.values.clone());
-        self.values.truncate(effects.first().map_or(values.len(), |first| first.columns.start));
+        let (effects, columns) = (std::mem::take(&mut self.effects), self.columns.clone());
+        self.columns.truncate(effects.first().map_or(columns.len(), |first| first.columns.start));
         for effect in effects.into_iter().filter(|effect| effect.block != block) {
-            let start = self.values.len();
-            self.values.extend_from_slice(&values[effect.columns]);
-            self.effects.push(Effect { columns: start..self.values.len(), ..effect });
+            let start = self.columns.len();
+            self.columns.extend_from_slice(&columns[effect.columns]);
+            self.effects.push(Effect { columns: start..self.columns.len(), ..effect });
         }
     }
 
     fn add_effect(&mut self, block: Block, profile: Profile, parameters: usize) {
         let functions = profile.weights(0.0, &Rotation::identity()).len();
-        let start = self.values.len();
-        self.values.resize(start + functions * parameters, 0.0);
-        self.effects.push(Effect { block, profile, columns: start..self.values.len() });
+        let start = self.columns.len();
+        let columns = start..start + functions * parameters;
+        let effect = Effect { block, profile, columns: columns.clone() };
+        let (is_free, precision) = (!effect.is_walk(), effect.prior_variance().recip());
+        self.columns.resize(columns.end, Column { is_free, precision, ..Column::default() });
+        self.effects.push(effect);
     }
 }
 
@@ -212,15 +206,10 @@ pub(super) fn add_likeliest_effects<M: Model>(
 }
 
 fn with_likeliest_effect<M: Model>(model: &M, candidates: &[(Block, Shape)]) -> Option<M> {
-    let mut base = model.tested_with();
-    for prior in model.priors() {
-        base.retain(|parameter| parameter.0 != prior.0);
-        base.push(prior);
-    }
     let linearization = model.linearize();
-    let tests = ExtensionTests::new(&linearization, &base, M::MODEL_ERROR)?;
     let mut extended = model.clone();
     let parameters = extended.parameters();
+    let tests = ExtensionTests::new(&linearization, &parameters.tested(), M::MODEL_ERROR)?;
     let is_free = |&&(block, shape): &&(Block, Shape)| match (block, shape) {
         (Block::Yaw, Shape::Walk) => !parameters.has_walk(),
         (Block::Yaw, Shape::Step) | (Block::World, _) => true,
@@ -283,7 +272,10 @@ mod tests {
             let errors = errors.collect();
             let delay = Delay { latency_s: 0.0, skew: 0.0, middle_s: 10.0 };
             let mount = Rotation::identity();
-            let parameters = Parameters::new(delay, mount, false, Self::DRIFT + 1);
+            let mut columns = vec![Column::default(); Self::OFFSET];
+            let own = Column { is_free: true, tested: Some(0.0), ..Column::default() };
+            columns.resize(Self::DRIFT + 1, own);
+            let parameters = Parameters::new(delay, mount, false, columns);
             Self { errors, t_s, parameters }
         }
 
@@ -306,8 +298,9 @@ mod tests {
                 let world_from_imu = Rotation::identity();
                 let yaw = self.parameters.sum_of_effects(Block::Yaw, t_s, &world_from_imu).x;
                 let since_s = t_s - self.parameters.middle_s;
-                let values = &self.parameters.values;
-                let fitted = values[Self::OFFSET] + values[Self::DRIFT] * since_s + yaw;
+                let columns = &self.parameters.columns;
+                let drifted = columns[Self::DRIFT].value * since_s;
+                let fitted = columns[Self::OFFSET].value + drifted + yaw;
                 let sample = Sample {
                     moment: Moment { t_s, world_from_imu },
                     residual: error - Vec3::z() * fitted,
@@ -322,20 +315,8 @@ mod tests {
             linearization
         }
 
-        fn free(&self) -> Vec<usize> {
-            vec![Self::OFFSET, Self::DRIFT]
-        }
-
         fn columns_of(_: Block) -> Range<usize> {
             Self::OFFSET..Self::OFFSET + 1
-        }
-
-        fn tested_with(&self) -> Vec<(usize, f64)> {
-            vec![(Self::OFFSET, 0.0), (Self::DRIFT, 0.0)]
-        }
-
-        fn priors(&self) -> Vec<(usize, f64)> {
-            self.parameters.effect_priors().collect()
         }
     }
 
@@ -359,7 +340,7 @@ mod tests {
             };
             let (at_s, _) = found.profile.change_s().expect("a step");
             assert!((at_s - 7.123).abs() < 0.1, "{found:?}");
-            let jumped = model.parameters.values[found.columns.start];
+            let jumped = model.parameters.columns[found.columns.start].value;
             assert!((jumped - size).abs() < 5e-4, "{found:?}: {jumped}");
             let drift = solved.measure(Series::DRIFT).expect("a drift");
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
@@ -411,7 +392,7 @@ mod tests {
         else {
             panic!("{:?}", model.parameters.effects)
         };
-        let size = model.parameters.values[columns.start];
+        let size = model.parameters.columns[columns.start].value;
         assert!((time_constant_s - 4.0).abs() < 0.3 && (size - 0.02).abs() < 1e-3);
     }
 }

@@ -8,7 +8,7 @@
 use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuDiagnosis};
 use super::extension_tests::ExtensionTests;
-use super::model::{Linearization, Model, Moment, Parameters, Sample};
+use super::model::{Column, Linearization, Model, Moment, Parameters, Sample};
 use super::solve::Solved;
 use super::{
     Delay, Link, LinkState, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, check_explained, mount_of,
@@ -65,7 +65,7 @@ impl Link<'_> {
         let (delay, mount) = (self.delay(lag_s), self.initial_mount(lag_s, moves));
         let mut model = GyroModel {
             link: self,
-            parameters: Parameters::new(delay, mount, moves, GyroModel::WIDTH),
+            parameters: Parameters::new(delay, mount, moves, GyroModel::columns(moves)),
             windows: self.windows(window_s, &delay),
             scale_columns: 0..0,
             rate_without_noise: Matrix3::identity(),
@@ -89,7 +89,11 @@ impl Link<'_> {
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
             for scale_columns in model.likely_scale_errors() {
-                let mut scaled = GyroModel { scale_columns, ..model.clone() };
+                let mut scaled =
+                    GyroModel { scale_columns: scale_columns.clone(), ..model.clone() };
+                for column in &mut scaled.parameters.columns[scale_columns] {
+                    (column.is_free, column.precision) = (true, GYRO_SCALE_PRIOR.powi(-2));
+                }
                 let fit = scaled.fit();
                 if scaled.scale_error(&fit).is_some() {
                     (model, solved) = (scaled, fit);
@@ -177,7 +181,20 @@ impl GyroModel<'_> {
     /// Of single entries, and of all axes alike.
     const SCALE_ENTRIES: Range<usize> = Self::BIAS.end..Self::BIAS.end + 6;
     const COMMON_SCALE: Range<usize> = Self::SCALE_ENTRIES.end..Self::SCALE_ENTRIES.end + 1;
-    const WIDTH: usize = Self::COMMON_SCALE.end;
+
+    /// Effects are tested with the scale error, which they may imitate.
+    fn columns(moves: bool) -> Vec<Column> {
+        let of_motion =
+            Column { is_free: moves, tested: moves.then_some(0.0), ..Column::default() };
+        let bias = Column { is_free: true, tested: Some(0.0), ..Column::default() };
+        let tested = moves.then_some(GYRO_SCALE_PRIOR.powi(-2));
+        let mut columns = vec![of_motion; Self::BIAS.start];
+        columns[Parameters::SKEW].tested = None;
+        columns.resize(Self::BIAS.end, bias);
+        columns.resize(Self::SCALE_ENTRIES.end, Column { tested, ..Column::default() });
+        columns.resize(Self::COMMON_SCALE.end, Column::default());
+        columns
+    }
 
     /// Scale error by each of its columns: symmetric, because an antisymmetric part would be a rotation and belongs to
     /// the mount.
@@ -194,8 +211,8 @@ impl GyroModel<'_> {
 
     /// Maps a measured rate without bias to the true one.
     fn unscale(&self) -> Matrix3<f64> {
-        let values = &self.parameters.values[Self::SCALE_ENTRIES.start..Self::WIDTH];
-        let parts = Self::scale_units().zip(values).map(|(unit, value)| unit * *value);
+        let columns = &self.parameters.columns[Self::SCALE_ENTRIES.start..];
+        let parts = Self::scale_units().zip(columns).map(|(unit, column)| unit * column.value);
         (Matrix3::identity() + parts.sum::<Matrix3<f64>>()).try_inverse().unwrap_or_default()
     }
 
@@ -306,11 +323,9 @@ impl GyroModel<'_> {
     /// Columns of scale errors that are likelier than none, the likeliest first: of each axis, or of all alike.
     fn likely_scale_errors(&self) -> Vec<Range<usize>> {
         let linearization = self.linearize();
-        let tested_with = 0..Self::BIAS.end;
-        let base: Vec<(usize, f64)> = tested_with
-            .chain(self.parameters.effect_columns())
-            .map(|column| (column, 0.0))
-            .collect();
+        let effects = Self::COMMON_SCALE.end..self.parameters.columns.len();
+        let base: Vec<(usize, f64)> =
+            (0..Self::BIAS.end).chain(effects).map(|column| (column, 0.0)).collect();
         let tests = ExtensionTests::new(&linearization, &base, Self::MODEL_ERROR);
         let scored = [Self::COMMON_SCALE, Self::SCALE_ENTRIES].into_iter().filter_map(|columns| {
             let tests = tests.as_ref()?;
@@ -436,11 +451,6 @@ impl Model for GyroModel<'_> {
         linearization
     }
 
-    fn free(&self) -> Vec<usize> {
-        let mount = Parameters::MOUNT.filter(|_| self.parameters.moves);
-        mount.chain(Self::BIAS).chain(self.scale_columns.clone()).collect()
-    }
-
     fn own_group(&self) -> Range<usize> {
         self.scale_columns.clone()
     }
@@ -450,21 +460,5 @@ impl Model for GyroModel<'_> {
             Block::Mount => Parameters::MOUNT,
             _ => Self::BIAS,
         }
-    }
-
-    /// With the scale error, which a change may imitate.
-    fn tested_with(&self) -> Vec<(usize, f64)> {
-        let bias = Self::BIAS.map(|column| (column, 0.0));
-        if !self.parameters.moves {
-            return bias.collect();
-        }
-        let delay_and_mount = Parameters::MOUNT.chain([Parameters::LATENCY]);
-        let scale = Self::SCALE_ENTRIES.map(|column| (column, GYRO_SCALE_PRIOR.powi(-2)));
-        delay_and_mount.map(|column| (column, 0.0)).chain(bias).chain(scale).collect()
-    }
-
-    fn priors(&self) -> Vec<(usize, f64)> {
-        let scale = self.scale_columns.clone().map(|column| (column, GYRO_SCALE_PRIOR.powi(-2)));
-        scale.chain(self.parameters.effect_priors()).collect()
     }
 }

@@ -9,7 +9,7 @@ use crate::solver::linear::Linear;
 use crate::{EstimateResult, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::{DMatrix, DVector, Matrix3};
 use std::ops::Range;
 
 /// Parametric model of one signal of an IMU.
@@ -25,9 +25,6 @@ pub(super) trait Model: Clone {
     /// Turns the rotations of the model besides the mount by a step, with one entry per column of the design.
     fn turn(&mut self, _: &[f64]) {}
 
-    /// Columns to fit besides the delay and the effects.
-    fn free(&self) -> Vec<usize>;
-
     /// Columns of equal unit that are tested together for excitation before the common ones.
     fn own_group(&self) -> Range<usize> {
         0..0
@@ -35,12 +32,6 @@ pub(super) trait Model: Clone {
 
     /// Columns of the block's constant parameters.
     fn columns_of(block: Block) -> Range<usize>;
-
-    /// Columns that are fitted while effects are tested, with the precision of their prior about zero.
-    fn tested_with(&self) -> Vec<(usize, f64)>;
-
-    /// Columns with a normal prior about zero, and its precision. They are always fitted.
-    fn priors(&self) -> Vec<(usize, f64)>;
 
     /// Sets the mount to the logged one if the fitted one does not differ significantly. Returns whether it did.
     fn restores_logged_mount(&mut self, _: &Solved) -> bool {
@@ -50,19 +41,16 @@ pub(super) trait Model: Clone {
     /// Fits all free parameters. Refits without skew and with the logged mount if the free values do not differ
     /// significantly.
     fn fit(&mut self) -> Solved {
-        let mut free = self.free();
-        let parameters = self.parameters();
-        free.extend(parameters.effect_columns());
-        if parameters.moves {
-            free.extend([Parameters::LATENCY, Parameters::SKEW]);
-        }
+        let columns = self.parameters().columns.iter().enumerate();
+        let mut free = Vec::from_iter(columns.filter(|(_, it)| it.is_free).map(|(at, _)| at));
         let all = free.len();
         let mut solved = solve(self, &free);
-        let Parameters { values, skew, .. } = self.parameters();
+        let Parameters { columns, skew, .. } = self.parameters();
         *skew = solved.measure(Parameters::SKEW);
-        let length = solved.length([Parameters::SKEW].into_iter(), &[values[Parameters::SKEW]]);
+        let value = &mut columns[Parameters::SKEW].value;
+        let length = solved.length([Parameters::SKEW].into_iter(), &[*value]);
         if !length.is_ok_and(|length| length.p_value < SKEW_SIGNIFICANCE) {
-            values[Parameters::SKEW] = 0.0;
+            *value = 0.0;
             free.retain(|&column| column != Parameters::SKEW);
         }
         if self.restores_logged_mount(&solved) {
@@ -75,11 +63,23 @@ pub(super) trait Model: Clone {
     }
 }
 
+/// Column of the design, with its parameter.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Column {
+    /// 0 for random effects, which are not part of the state. Unused for rotations.
+    pub value: f64,
+    /// Whether it is fitted as part of the state.
+    pub is_free: bool,
+    /// Of a normal prior about zero, with which it is always fitted; 0 without a prior.
+    pub precision: f64,
+    /// Precision with which it is fitted while effects are tested if it has no prior. `None` if it is not.
+    pub tested: Option<f64>,
+}
+
 /// Parameters of a model. Those of both signals are in the first columns of the design, effects in the last.
 #[derive(Clone)]
 pub(super) struct Parameters {
-    /// Per column of the design; 0 for random effects, which are not part of the state. Unused for rotations.
-    pub values: Vec<f64>,
+    pub columns: Vec<Column>,
     /// Time without effect of the skew.
     pub middle_s: f64,
     /// Mount before a slip.
@@ -98,23 +98,39 @@ impl Parameters {
     /// Of both signals.
     pub const WIDTH: usize = 5;
 
-    /// For a model whose parameters have `width` columns without effects.
-    pub fn new(delay: Delay, link_from_imu: Rotation, moves: bool, width: usize) -> Self {
+    /// Without effects. The delay is free if the IMU moves.
+    pub fn new(delay: Delay, link_from_imu: Rotation, moves: bool, columns: Vec<Column>) -> Self {
         let Delay { latency_s, skew, middle_s } = delay;
-        let mut values = vec![0.0; width];
-        (values[Self::LATENCY], values[Self::SKEW]) = (latency_s, skew);
-        let (effects, skew) = (Vec::new(), Err(NotObservable::AtRest));
-        Self { values, middle_s, link_from_imu, effects, moves, skew }
+        let (effects, omitted) = (Vec::new(), Err(NotObservable::AtRest));
+        let mut new = Self { columns, middle_s, link_from_imu, effects, moves, skew: omitted };
+        for (column, value) in [(Self::LATENCY, latency_s), (Self::SKEW, skew)] {
+            new.columns[column] = Column { value, is_free: moves, ..new.columns[column] };
+        }
+        new
     }
 
     pub fn delay(&self) -> Delay {
-        let (latency_s, skew) = (self.values[Self::LATENCY], self.values[Self::SKEW]);
+        let [latency_s, skew] = [Self::LATENCY, Self::SKEW].map(|at| self.columns[at].value);
         Delay { latency_s, skew, middle_s: self.middle_s }
+    }
+
+    pub fn values(&self, columns: Range<usize>) -> DVector<f64> {
+        DVector::from_iterator(columns.len(), self.columns[columns].iter().map(|it| it.value))
     }
 
     /// Three parameters.
     pub fn vector(&self, columns: Range<usize>) -> Vec3 {
-        Vec3::from_column_slice(&self.values[columns])
+        self.values(columns).fixed_rows::<3>(0).into()
+    }
+
+    /// Columns that are fitted while effects are tested, with the precisions of their priors.
+    pub fn tested(&self) -> Vec<(usize, f64)> {
+        let precision = |column: &Column| match column.precision {
+            0.0 => column.tested,
+            precision => Some(precision),
+        };
+        let columns = self.columns.iter().enumerate();
+        columns.filter_map(|(at, column)| Some((at, precision(column)?))).collect()
     }
 
     pub fn mount_at(&self, t_s: f64) -> Rotation {
@@ -163,7 +179,7 @@ impl Parameters {
             ..ImuDiagnosis::not_observable(&NotObservable::NoOrientation)
         };
         if self.moves {
-            let (logged, skew) = (samples(&|_| 0.0), self.values[Self::SKEW]);
+            let (logged, skew) = (samples(&|_| 0.0), self.columns[Self::SKEW].value);
             let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
             found.latency_s = solved.measure(Self::LATENCY);
             found.skew = self.skew.clone();
@@ -182,9 +198,10 @@ impl Parameters {
             let slip = rotation_from_rotvec(self.vector(effect.columns.clone()));
             (effect.columns.clone(), rotvec_from_rotation(&(slip * turn(effect.columns.clone()))))
         });
-        free.iter().for_each(|&column| self.values[column] += step[column]);
+        free.iter().for_each(|&column| self.columns[column].value += step[column]);
         if let Some((columns, slip)) = slipped {
-            self.values[columns].copy_from_slice(slip.as_slice());
+            let columns = self.columns[columns].iter_mut();
+            columns.zip(&slip).for_each(|(column, value)| column.value = *value);
         }
     }
 
@@ -230,7 +247,7 @@ pub(super) struct Sample<'a> {
 
 impl Linearization {
     pub fn new(parameters: &Parameters, samples: usize, floor: f64) -> Self {
-        let width = parameters.values.len();
+        let width = parameters.columns.len();
         let mut linear = Linear::new(width, &[floor]);
         linear.reserve(samples);
         let moments = Vec::with_capacity(samples);

@@ -6,7 +6,7 @@
 use super::effects::{Block, Profile, Shape, add_likeliest_effects};
 use super::estimates::{HeadingError, ImuDiagnosis, YawWarmUp};
 use super::gyro::GyroFit;
-use super::model::{Linearization, Model, Moment, Parameters, Sample};
+use super::model::{Column, Linearization, Model, Moment, Parameters, Sample};
 use super::solve::Solved;
 use super::{Delay, Link, LinkState, MIN_FIT_SAMPLES, MOUNT_SIGNIFICANCE, mount_of};
 use crate::encodings::rotation::{
@@ -91,10 +91,12 @@ impl Link<'_> {
         };
         let logged = LoggedRotations::new(&track.orientation);
         let mount = known_mount.unwrap_or_default() * fit.tool;
-        let width = OrientationModel::LINKS_START + 3 * self.inner_links();
+        let own = Column { is_free: true, tested: Some(0.0), ..Column::default() };
+        let mut columns = vec![own; OrientationModel::LINKS_START];
+        columns.extend(self.link_columns());
         let mut model = OrientationModel {
             link: self,
-            parameters: Parameters::new(start, mount, moves, width),
+            parameters: Parameters::new(start, mount, moves, columns),
             samples: Vec::new(),
             mount_rad: Err(NotObservable::NoFrame),
             world_from_base: fit.reference,
@@ -115,6 +117,15 @@ impl Link<'_> {
             true => 0,
             false => self.stream.columns.len().saturating_sub(1),
         }
+    }
+
+    /// Rotations of the links between the first and the last joint.
+    fn link_columns(&self) -> Vec<Column> {
+        let count = 3 * self.inner_links();
+        // The constant rotations absorb about half of the deviations.
+        let by_fk_error = self.stream.fk_error_rad.powi(2) / (0.5 * count as f64);
+        let precision = LINK_PRIOR_RAD.powi(2).max(by_fk_error).recip();
+        vec![Column { precision, ..Column::default() }; count]
     }
 
     fn estimate_encoding_near(
@@ -217,8 +228,7 @@ impl OrientationModel<'_> {
                     };
                     let mut all: Vec<DVector<f64>> =
                         self.linearize().moments.iter().map(weights).collect();
-                    let values = &self.parameters.values[effect.columns.clone()];
-                    let values = DVector::from_column_slice(values);
+                    let values = self.parameters.values(effect.columns.clone());
                     all.sort_by(|a, b| a.dot(&values).total_cmp(&b.dot(&values)));
                     if let [min, .., max] = all.as_slice() {
                         let along = 0.5 * (max - min);
@@ -238,7 +248,7 @@ impl OrientationModel<'_> {
 
     /// Yaw error relative to the middle of the run.
     fn yaw_at(&self, t_s: f64, world_from_imu: &Rotation) -> f64 {
-        self.parameters.values[Self::DRIFT] * (t_s - self.link.middle_s)
+        self.parameters.columns[Self::DRIFT].value * (t_s - self.link.middle_s)
             + self.parameters.sum_of_effects(Block::Yaw, t_s, world_from_imu).x
     }
 
@@ -369,10 +379,6 @@ impl Model for OrientationModel<'_> {
         self.world_from_base = turn * self.world_from_base;
     }
 
-    fn free(&self) -> Vec<usize> {
-        Parameters::MOUNT.chain(Self::WORLD).chain([Self::DRIFT]).collect()
-    }
-
     fn restores_logged_mount(&mut self, solved: &Solved) -> bool {
         self.mount_rad = self.mount(solved);
         let is_wrong =
@@ -390,19 +396,5 @@ impl Model for OrientationModel<'_> {
             // About the vertical.
             _ => Self::WORLD.end - 1..Self::WORLD.end,
         }
-    }
-
-    fn tested_with(&self) -> Vec<(usize, f64)> {
-        (0..Self::LINKS_START).map(|column| (column, 0.0)).collect()
-    }
-
-    /// Rotations of the links between the first and the last joint, and effects.
-    fn priors(&self) -> Vec<(usize, f64)> {
-        let links = Self::LINKS_START..Self::LINKS_START + 3 * self.link.inner_links();
-        // The constant rotations absorb about half of the deviations.
-        let by_fk_error = self.link.stream.fk_error_rad.powi(2) / (0.5 * links.len() as f64);
-        let variance = LINK_PRIOR_RAD.powi(2).max(by_fk_error);
-        let links = links.map(|column| (column, variance.recip()));
-        links.chain(self.parameters.effect_priors()).collect()
     }
 }

@@ -16,7 +16,7 @@ pub(super) struct Solved {
     fixed: Vec<DVector<f64>>,
     dof: f64,
     /// Fitted parameters.
-    values: Vec<f64>,
+    values: DVector<f64>,
     /// Residuals after the random effects.
     pub residuals: Vec<Vec3>,
 }
@@ -31,13 +31,11 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let width = linearization.linear.width;
     let [mut excited, mut fixed] = excited_directions(model, &linearization, free);
     let mut all = free.to_vec();
-    let mut precision = DVector::zeros(width);
-    for (column, of_column) in model.priors() {
-        precision[column] = of_column;
-        if !free.contains(&column) {
-            excited.push(unit(width, column));
-            all.push(column);
-        }
+    let columns_of_model = model.parameters().columns.iter();
+    let precision = DVector::from_iterator(width, columns_of_model.map(|it| it.precision));
+    for column in (0..width).filter(|at| precision[*at] > 0.0 && !free.contains(at)) {
+        excited.push(unit(width, column));
+        all.push(column);
     }
     let basis = columns(width, &excited);
     let noise = basis.tr_mul(&linearization.design_noise) * &basis;
@@ -45,8 +43,7 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let mut steps = 0;
     let (linear, fit) = loop {
         let linear = linearization.linear;
-        let values = DVector::from_column_slice(&model.parameters().values);
-        let pull = -values.component_mul(&precision);
+        let pull = -model.parameters().values(0..width).component_mul(&precision);
         let fit = linear.reweighted_fit(2, |normal| {
             // Without the design noise, a step would overshoot where a prior shares its direction.
             let matrix = basis.tr_mul(&normal.matrix) * &basis + &prior;
@@ -77,7 +74,7 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let random = prior.diagonal().iter().filter(|precision| **precision > 0.0).count();
     let dof = fit.normal.dof(all.len() - random);
     let residuals = fit.residuals.into_iter().flatten().collect();
-    let values = model.parameters().values.clone();
+    let values = model.parameters().values(0..width);
     Solved { free: all, covariance, fixed, dof, values, residuals }
 }
 
@@ -154,7 +151,7 @@ impl Solved {
         parameters: Range<usize>,
         along: &DVector<f64>,
     ) -> EstimateResult<Measured> {
-        let value = along.dot(&DVector::from_column_slice(&self.values[parameters.clone()]));
+        let value = along.dot(&self.values.rows_range(parameters.clone()));
         let variance = along.dot(&(self.block(parameters)? * along));
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
