@@ -306,16 +306,15 @@ impl GyroModel<'_> {
     /// The noise of a rate is at most the residual. Without the filter, a scale error of −100 % explains the noise of a
     /// gyro about axes that do not turn: the noise is in the column and in the residual.
     fn estimate_rate_without_noise(&self, residuals: &[Vec3]) -> Matrix3<f64> {
-        let square = |rates: &mut dyn Iterator<Item = Vec3>| -> Matrix3<f64> {
-            rates.map(|rate| rate * rate.transpose()).sum()
+        let square = |rates: &[Vec3]| -> Matrix3<f64> {
+            rates.iter().map(|rate| rate * rate.transpose()).sum()
         };
         let mean_rate = |window: &RangeInclusive<usize>| {
             let integrated = self.integrate(window);
             rotvec_from_rotation(&integrated.first_from_last) / integrated.duration_s
         };
-        let measured = square(&mut self.windows.iter().map(mean_rate));
-        let noise = square(&mut residuals.iter().copied());
-        let mut eigen = (measured - noise).symmetric_eigen();
+        let measured = square(&self.windows.iter().map(mean_rate).collect::<Vec<Vec3>>());
+        let mut eigen = (measured - square(residuals)).symmetric_eigen();
         eigen.eigenvalues.apply(|value| *value = value.max(0.0));
         measured.try_inverse().map_or_else(Matrix3::identity, |inverse| eigen.recompose() * inverse)
     }

@@ -120,7 +120,7 @@ impl Parameters {
 
     /// Three parameters.
     pub fn vector(&self, columns: Range<usize>) -> Vec3 {
-        self.values(columns).fixed_rows::<3>(0).into()
+        Vec3::from_fn(|axis, _| self.columns[columns.start + axis].value)
     }
 
     /// Columns that are fitted while effects are tested, with the precisions of their priors.
