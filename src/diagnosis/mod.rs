@@ -75,7 +75,7 @@ mod signals;
 
 use ground::geometry::{
     Axes, Convention, LengthScale, Misinterpretation, MisinterpretationClass, Pose,
-    QuaternionOrderError, Vec3,
+    QuaternionOrderError,
 };
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
@@ -556,7 +556,7 @@ impl PoseDiagnosis {
     /// Extent of FK's positions, m.
     fn extent_m(&self) -> f64 {
         let fk = self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector);
-        frames::position_fit::spread(&fk.collect::<Vec<Vec3>>())
+        frames::position_fit::spread(fk)
     }
 
     /// Whether the motion is periodic, so other findings may belong to a wrong lag.

@@ -190,10 +190,10 @@ impl FreeOffsets {
 
 impl<'a> EncodingSearch<'a> {
     fn new(fk: &'a [Pose], positions: &'a StreamPositions<'a>, is_inverted: bool) -> Self {
-        let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+        let extent_m = spread(fk.iter().map(|pose| pose.translation.vector));
         let sums = [0, 1, 2].map(|axis| AxisSums::new(fk, positions.xyz, axis));
         let logged_products = positions.xyz.iter().map(|xyz| xyz * xyz.transpose()).sum();
-        Self { fk, positions, is_inverted, extent_m: spread(&at), sums, logged_products }
+        Self { fk, positions, is_inverted, extent_m, sums, logged_products }
     }
 
     /// Includes left-handed axes only if `any`.

@@ -77,9 +77,9 @@ pub(crate) fn decode_stream<'a>(
     if rows.is_empty() {
         return Err(NotObservable::NoOverlap);
     }
-    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let spread_m = spread(fk.iter().map(|pose| pose.translation.vector));
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
-    let interpretations = interpretations(placement, spread(&at), reference_known);
+    let interpretations = interpretations(placement, spread_m, reference_known);
     let first = interpretations[0];
     let (other, degrees) =
         in_other_angle_unit(track, &rows, &turning, reference_known, &first).unzip();

@@ -142,21 +142,19 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3], reference_known: bool) -> [bo
     const MIN_MOVING_SPREAD_M: f64 = 5e-3;
     /// Relative to the magnitude; less is rounding.
     const ROUNDING_SHARE: f64 = 1e-9;
-    let spreads =
-        |variances: Vec3| -> [f64; 3] { variances.map(|variance| variance.max(0.0).sqrt()).into() };
-    let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
+    let spreads = |variances: Vec3| variances.map(|variance| variance.max(0.0).sqrt());
     // In a world of unknown axes, a motion in any plane may have a constant coordinate.
     let expected = spreads(match reference_known {
         true => covariance(fk).diagonal(),
         false => covariance(fk).symmetric_eigenvalues(),
     });
     let logged = spreads(covariance(xyz).diagonal());
-    let least = MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * widest(expected));
-    let all_move = expected.into_iter().all(|spread| spread > least);
+    let all_move =
+        expected.min() > MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * expected.max());
     let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
-    let some_move = widest(logged) > ROUNDING_SHARE * size;
-    logged
-        .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
+    let some_move = logged.max() > ROUNDING_SHARE * size;
+    let most = MAX_CONSTANT_SPREAD_SHARE * logged.max();
+    logged.map(|spread| all_move && some_move && spread <= most).into()
 }
 
 fn covariance(points: &[Vec3]) -> Matrix3<f64> {
@@ -229,8 +227,7 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     if in_metres <= MAX_RESIDUAL_SHARE {
         return Some(1.0);
     }
-    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-    if is_plausible_extent(extent, spread(&at)) {
+    if is_plausible_extent(extent, spread(fk.iter().map(|pose| pose.translation.vector))) {
         return None;
     }
     let shares = usual_factors(track).map(|metres| (residual_share(metres), metres));
@@ -265,8 +262,7 @@ pub(crate) fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> boo
     let track = stream.track;
     let Some(rotations) = as_rotations(&track.orientation) else { return false };
     let (rows, fk) = slow_samples(joints, stream, 0.0);
-    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-    let most_m = MAX_POSITION_ERROR_SHARE * spread(&at);
+    let most_m = MAX_POSITION_ERROR_SHARE * spread(fk.iter().map(|pose| pose.translation.vector));
     let is_there = |(&row, fk): (&usize, &Pose)| {
         (track.xyz[row] - fk.translation.vector).norm() <= most_m
             && angle_between(&rotations[row], &fk.rotation) <= MAX_ENCODING_RESIDUAL_RAD

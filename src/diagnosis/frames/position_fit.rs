@@ -8,6 +8,7 @@ use ground::geometry::{
 };
 use ground::stats::mean;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Vector6};
+use std::borrow::Borrow;
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
@@ -176,9 +177,9 @@ fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
 }
 
 /// Rms distance from the mean.
-pub(crate) fn spread(points: &[Vec3]) -> f64 {
-    let centre = mean_vector(points);
-    mean(points.iter().map(|point| (point - centre).norm_squared())).sqrt()
+pub(crate) fn spread(points: impl IntoIterator<Item = impl Borrow<Vec3>> + Clone) -> f64 {
+    let centre = mean_vector(points.clone());
+    mean(points.into_iter().map(|point| (point.borrow() - centre).norm_squared())).sqrt()
 }
 
 #[cfg(test)]
