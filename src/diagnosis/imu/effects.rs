@@ -5,7 +5,6 @@ use super::extension_tests::ExtensionTests;
 use super::model::{Column, Model, Parameters};
 use super::solve::Solved;
 use crate::priors::{BIAS_PRIOR_RAD_S, MOUNT_PRIOR_RAD, YAW_PRIOR_RAD};
-use crate::solver::linear::Rows;
 use ground::geometry::{Rotation, Vec3};
 use std::ops::Range;
 
@@ -140,25 +139,6 @@ impl Parameters {
             }
         }
         sum
-    }
-
-    /// Sets the derivatives by the effects, given those by the parameters of the mount and of the other block that
-    /// varies.
-    pub fn set_rows(
-        &self,
-        rows: &mut Rows,
-        t_s: f64,
-        world_from_imu: &Rotation,
-        by_mount: &[Vec3],
-        by_other: &[Vec3],
-    ) {
-        for effect in &self.effects {
-            let derivatives = if effect.block == Block::Mount { by_mount } else { by_other };
-            let weights = effect.profile.weights(t_s, world_from_imu);
-            let products =
-                weights.iter().flat_map(|weight| derivatives.iter().map(move |d| d * *weight));
-            rows.set_from(effect.columns.start, products);
-        }
     }
 
     fn remove_effects(&mut self, block: Block) {
@@ -308,9 +288,8 @@ mod tests {
                     since_middle_s: since_s,
                     by_mount: [Vec3::zeros(); 3],
                     by_own: &[Vec3::z(), Vec3::z() * since_s],
-                    by_other_block: &[Vec3::z()],
                 };
-                linearization.push(&self.parameters, sample);
+                linearization.push::<Self>(&self.parameters, sample);
             }
             linearization
         }

@@ -443,9 +443,8 @@ impl Model for GyroModel<'_> {
                 since_middle_s,
                 by_mount: units.map(|unit| (unit - last_from_first * unit) * per_s),
                 by_own: &[&by_bias[..], &by_scale_error].concat(),
-                by_other_block: &by_bias,
             };
-            linearization.push(parameters, sample);
+            linearization.push::<Self>(parameters, sample);
         }
         linearization
     }

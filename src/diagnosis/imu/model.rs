@@ -241,8 +241,6 @@ pub(super) struct Sample<'a> {
     pub by_mount: [Vec3; 3],
     /// By the model's own parameters, in the order of their columns.
     pub by_own: &'a [Vec3],
-    /// By the parameters of the block besides the mount that varies.
-    pub by_other_block: &'a [Vec3],
 }
 
 impl Linearization {
@@ -254,7 +252,7 @@ impl Linearization {
         Self { linear, moments, design_noise: DMatrix::zeros(width, width) }
     }
 
-    pub fn push(&mut self, parameters: &Parameters, sample: Sample) {
+    pub fn push<M: Model>(&mut self, parameters: &Parameters, sample: Sample) {
         let mut rows = self.linear.push(&[sample.residual]);
         let Moment { t_s, world_from_imu } = &sample.moment;
         // The mount is applied before the slip.
@@ -265,8 +263,18 @@ impl Linearization {
         let by_delay = [sample.by_latency, sample.by_latency * sample.since_middle_s];
         let by_own = sample.by_own.iter().copied();
         rows.set_from(0, by_delay.into_iter().chain(by_mount).chain(by_own));
-        let (by_mount, by_other) = (&sample.by_mount, sample.by_other_block);
-        parameters.set_rows(&mut rows, *t_s, world_from_imu, by_mount, by_other);
+        for effect in &parameters.effects {
+            let derivatives = match effect.block {
+                Block::Mount => &sample.by_mount,
+                block => {
+                    let Range { start, end } = M::columns_of(block);
+                    &sample.by_own[start - Parameters::WIDTH..end - Parameters::WIDTH]
+                }
+            };
+            let weights = effect.profile.weights(*t_s, world_from_imu).into_iter();
+            let products = weights.flat_map(|weight| derivatives.iter().map(move |d| d * weight));
+            rows.set_from(effect.columns.start, products);
+        }
         self.moments.push(sample.moment);
     }
 

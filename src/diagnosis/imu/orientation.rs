@@ -367,9 +367,8 @@ impl Model for OrientationModel<'_> {
                 since_middle_s,
                 by_mount: units.map(|unit| predicted * unit),
                 by_own: &by_own,
-                by_other_block: &[Vec3::z()],
             };
-            linearization.push(parameters, sample);
+            linearization.push::<Self>(parameters, sample);
         }
         linearization
     }
