@@ -58,8 +58,8 @@ struct BaseFit {
 struct Extension {
     design: DMatrix<f64>,
     products: Products,
-    /// Components of the residual that they change.
-    is_changed: [bool; 3],
+    /// 1 for the components of the residual that they change, else 0.
+    changed: Vec3,
 }
 
 /// Robustly weighted products of additional columns.
@@ -125,7 +125,7 @@ impl<'a> ExtensionTests<'a> {
         };
         tests.base_products = tests.products(0..moments.len(), &tests.base);
         let fit = tests.base_fit(tests.variance)?;
-        tests.variance = tests.noise(&tests.base_residual(&fit), [true; 3]).variance;
+        tests.variance = tests.noise(&tests.base_residual(&fit), Vec3::repeat(1.0)).variance;
         Some(tests)
     }
 
@@ -333,16 +333,13 @@ impl<'a> ExtensionTests<'a> {
     ) -> Option<IndependentNoise> {
         let extended = self.base_fit(variance)?.extend(&extension.products, precision)?;
         let residual = self.extended_residual(extension, &extended);
-        Some(self.noise(&residual, extension.is_changed))
+        Some(self.noise(&residual, extension.changed))
     }
 
     /// In the components that an extension changes.
-    fn noise(&self, residual: &[Vec3], is_changed: [bool; 3]) -> IndependentNoise {
-        let changed = |residual: &Vec3| {
-            Vec3::from_fn(|axis, _| if is_changed[axis] { residual[axis] } else { 0.0 })
-        };
-        let residual: Vec<Vec3> = residual.iter().map(changed).collect();
-        let components = is_changed.iter().filter(|changed| **changed).count() as f64;
+    fn noise(&self, residual: &[Vec3], changed: Vec3) -> IndependentNoise {
+        let residual: Vec<Vec3> = residual.iter().map(|it| it.component_mul(&changed)).collect();
+        let components = changed.sum();
         let noise = Noise::estimate(&residual, &self.robust_weights, 0.0);
         let inflation = noise.inflation().max(1.0);
         let variance = (noise.sigma.powi(2) * 3.0 / components).max(self.model_error.powi(2));
@@ -362,9 +359,10 @@ impl<'a> ExtensionTests<'a> {
         /// Share of the columns' squares in a component that they change.
         const MIN_SHARE: f64 = 1e-3;
         let columns = design(self.linear, columns);
-        let squares = [0, 1, 2]
-            .map(|axis| columns.rows_with_step(axis, self.moments.len(), 2).norm_squared());
-        let is_changed = squares.map(|one| one >= MIN_SHARE * squares.iter().sum::<f64>());
+        let squares = Vec3::from_fn(|axis, _| {
+            columns.rows_with_step(axis, self.moments.len(), 2).norm_squared()
+        });
+        let changed = squares.map(|one| f64::from(one >= MIN_SHARE * squares.sum()));
         let weights = self.moments.iter();
         let weights = weights.map(|moment| profile.weights(moment.t_s, &moment.world_from_imu));
         let weights: Vec<Vec<f64>> = weights.collect();
@@ -373,7 +371,7 @@ impl<'a> ExtensionTests<'a> {
             weights[row / 3][at / columns.ncols()] * columns[(row, at % columns.ncols())]
         });
         let products = self.products(0..self.moments.len(), &design);
-        Extension { design, products, is_changed }
+        Extension { design, products, changed }
     }
 
     /// Of the columns of `added`, over these samples.

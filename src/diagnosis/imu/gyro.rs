@@ -173,7 +173,6 @@ struct IntegratedRotation {
     by_scale_error: [Vec3; 7],
     /// At the first and last sample, rad/s.
     rates: [Vec3; 2],
-    duration_s: f64,
 }
 
 impl GyroModel<'_> {
@@ -255,9 +254,8 @@ impl GyroModel<'_> {
         let unscale = self.unscale();
         let rate = |k: usize| unscale * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
-        let (rates, duration_s) = ([rate(first), rate(last)], track.t_s[last] - track.t_s[first]);
-        let mut integrated =
-            IntegratedRotation { rates, duration_s, ..IntegratedRotation::default() };
+        let rates = [rate(first), rate(last)];
+        let mut integrated = IntegratedRotation { rates, ..IntegratedRotation::default() };
         for k in first..last {
             let dt = track.t_s[k + 1] - track.t_s[k];
             let omega = 0.5 * (rate(k) + rate(k + 1));
@@ -309,9 +307,10 @@ impl GyroModel<'_> {
         let square = |rates: &[Vec3]| -> Matrix3<f64> {
             rates.iter().map(|rate| rate * rate.transpose()).sum()
         };
+        let t_s = &self.link.stream.track.t_s;
         let mean_rate = |window: &RangeInclusive<usize>| {
-            let integrated = self.integrate(window);
-            rotvec_from_rotation(&integrated.first_from_last) / integrated.duration_s
+            let rotation = rotvec_from_rotation(&self.integrate(window).first_from_last);
+            rotation / (t_s[*window.end()] - t_s[*window.start()])
         };
         let measured = square(&self.windows.iter().map(mean_rate).collect::<Vec<Vec3>>());
         let mut eigen = (measured - square(residuals)).symmetric_eigen();
@@ -412,7 +411,7 @@ impl Model for GyroModel<'_> {
             parameters.effects_on(Block::Mount).next().and_then(|slip| slip.profile.change_s());
         for (window, [(from_s, first), (to_s, last)]) in self.ends() {
             let integrated = self.integrate(window);
-            let (mount, per_s) = (parameters.mount_at(to_s), 1.0 / integrated.duration_s);
+            let (mount, per_s) = (parameters.mount_at(to_s), 1.0 / (to_s - from_s));
             let (moving, since_middle_s) =
                 (first.moving || last.moving, to_s - parameters.middle_s);
             let base_from_imu = last.rotation * mount;
