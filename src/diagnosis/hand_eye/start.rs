@@ -128,11 +128,11 @@ fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
 
-/// Columns of the linear fit of positions: camera, constant, and two factors of the target's positions.
+/// Columns of the linear fit of positions: camera, constant, and two scale errors of the target's positions.
 const POSITION_COLUMNS: usize = 8;
-/// Factor of all coordinates of the target.
+/// Scale error of all coordinates of the target.
 pub(super) const SIZE_COLUMN: usize = 6;
-/// Additional factor of its depth.
+/// Additional one of its depth.
 pub(super) const DEPTH_COLUMN: usize = 7;
 /// Length of three normal components, median in standard deviations.
 pub(super) const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
@@ -146,16 +146,17 @@ pub(super) struct PositionFit {
     pub residual_m: f64,
 }
 
-/// Fits camera and constant with the `factors` (columns) of positions that are free; `along` is the depth axis.
-/// Linear in `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`, with Cauchy weights.
+/// Fits camera and constant with the `scales` (columns) of positions that are free; `along` is the depth axis.
+/// Linear in `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c − R_c·R_x·t`, with Cauchy weights.
 pub(super) fn fit_positions(
     pairs: &[PosePair],
     rotation: &Rotation,
     along: usize,
-    factors: &[usize],
+    scales: &[usize],
 ) -> Option<PositionFit> {
     const ROUNDS: usize = 4;
-    let is_free = |column: usize| column < SIZE_COLUMN || factors.contains(&column);
+    let [size, depth] =
+        [SIZE_COLUMN, DEPTH_COLUMN].map(|column| f64::from(scales.contains(&column)));
     let row = |PosePair { carrier_pose, target }: &PosePair| {
         let base_from_camera = carrier_pose.rotation * rotation;
         let observed = target.translation.vector;
@@ -165,21 +166,15 @@ pub(super) fn fit_positions(
         row.fixed_view_mut::<3, 3>(0, 0)
             .copy_from(carrier_pose.rotation.to_rotation_matrix().matrix());
         row.fixed_view_mut::<3, 3>(0, 3).copy_from(&-Matrix3::identity());
-        let mut right = -carrier_pose.translation.vector;
-        match is_free(SIZE_COLUMN) {
-            true => row.set_column(SIZE_COLUMN, &observed),
-            false => right -= observed,
-        }
-        if is_free(DEPTH_COLUMN) {
-            row.set_column(DEPTH_COLUMN, &deep);
-        }
-        (row, right)
+        row.set_column(SIZE_COLUMN, &(size * observed));
+        row.set_column(DEPTH_COLUMN, &(depth * deep));
+        (row, -carrier_pose.translation.vector - observed)
     };
     let rows: Vec<_> = pairs.iter().map(row).collect();
-    // Keeps camera and constant apart if only their difference is observable, and fixed factors at zero.
+    // Keeps camera and constant apart if only their difference is observable, and fixed scales at zero.
     let ridge = SVector::from_fn(|column, _| match column {
         ..SIZE_COLUMN => 1e-9 * rows.len() as f64,
-        _ => f64::from(u8::from(!is_free(column))),
+        _ => f64::from(!scales.contains(&column)),
     });
     let mut weights = vec![1.0; rows.len()];
     let mut fit = None;

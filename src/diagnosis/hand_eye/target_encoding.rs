@@ -222,12 +222,11 @@ fn estimate_scale_error(
         return None;
     }
     let sigma_m = chosen.residual_m / MEDIAN_NORMAL_LENGTH;
-    let factor = |column: usize, fixed: f64| match factors.contains(&column) {
-        true => (chosen.values[column], sigma_m * chosen.inverse[(column, column)].max(0.0).sqrt()),
-        false => (fixed, 0.0),
-    };
-    let (all, all_error) = factor(SIZE_COLUMN, 1.0);
-    let (more, more_error) = factor(DEPTH_COLUMN, 0.0);
+    let [all_error, more_error] = both.map(|column| {
+        let is_free = f64::from(factors.contains(&column));
+        is_free * sigma_m * chosen.inverse[(column, column)].max(0.0).sqrt()
+    });
+    let (all, more) = (1.0 + chosen.values[SIZE_COLUMN], chosen.values[DEPTH_COLUMN]);
     let dof = (3 * pairs.len()).saturating_sub(SIZE_COLUMN + factors.len()).max(3) as f64;
     let measured = |value: f64, std_error: f64| Measured { value, std_error, dof };
     let size = measured(1.0 / all, all_error / (all * all));
