@@ -161,15 +161,13 @@ impl HandEyeState {
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
                 rows.set(0, axis, -unit);
-                rows.set(0, 3 + axis, observed.cross(&unit));
-                rows.set(1, 3 + axis, -unit);
+                rows.set_all(3 + axis, [observed.cross(&unit), -unit]);
                 rows.set(0, 6 + axis, turned * unit);
                 rows.set(1, 9 + axis, turned * unit);
             }
             if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
-                let [shift, turn] = pose_change(&self.predict(&after), &self.predict(&before));
-                rows.set(0, OFFSET_COLUMN, shift / (2.0 * STEP_S));
-                rows.set(1, OFFSET_COLUMN, turn / (2.0 * STEP_S));
+                let change = pose_change(&self.predict(&after), &self.predict(&before));
+                rows.set_all(OFFSET_COLUMN, change.map(|part| part / (2.0 * STEP_S)));
             }
             if let Some(stretched) = stretched {
                 rows.set(0, WIDTH, stretched(observed));
