@@ -85,20 +85,21 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, evidence: &HandEyeEvidence) -> 
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
-    let scaled = match &diagnosis.alternative {
-        Some((TargetEncoding::Scaled(_), _)) => as_logged,
+    let reading = diagnosis.alternative.as_ref().map(|solution| &solution.encoding);
+    let scaled = match reading {
+        Some(TargetEncoding::Scaled(_)) => as_logged,
         _ => best,
     };
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
     let span_rad = diagnosis.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
-    let (outcome, estimate) = match (&diagnosis.alternative, open) {
+    let (outcome, estimate) = match (reading, open) {
         _ if span_rad
             < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &MIN_ROTATION_SPAN) =>
         {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
-        (Some((reading, _)), _) if is_fault(reading, as_logged, &thresholds) => {
+        (Some(reading), _) if is_fault(reading, as_logged, &thresholds) => {
             let fault = misinterpreted(reading, as_logged, &thresholds);
             (Outcome::fail(fault), closure(as_logged))
         }
@@ -157,11 +158,11 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, evidence: &HandEyeEvidence) -> 
     };
     let judged = SubjectResult::new(evidence.subject(), outcome).estimated(estimate);
     let judged = with_solution(judged, evidence, best);
-    let judged = match &diagnosis.alternative {
-        Some((reading, _)) => judged.with_evidence("reading", describe_encoding(reading)),
+    let judged = match reading {
+        Some(reading) => judged.with_evidence("reading", describe_encoding(reading)),
         None => judged,
     };
-    let Some((TargetEncoding::Scaled(stretch), _)) = &diagnosis.alternative else { return judged };
+    let Some(TargetEncoding::Scaled(stretch)) = reading else { return judged };
     let factors = [("scale", &stretch.size), ("depth_scale", &stretch.depth)];
     factors.into_iter().fold(judged, |judged, (key, factor)| match factor {
         Some(one) => {

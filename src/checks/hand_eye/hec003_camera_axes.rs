@@ -56,8 +56,9 @@ pub(super) enum AxisSwap {
 
 pub(super) fn detect_swap(evidence: &HandEyeEvidence) -> Option<AxisSwap> {
     let found = &evidence.diagnosis;
-    if let Some((TargetEncoding::Axes(axes), _)) = found.alternative {
-        return Some(AxisSwap::Within(axes));
+    let encoding = found.alternative.as_ref().map(|solution| &solution.encoding);
+    if let Some(TargetEncoding::Axes(axes)) = encoding {
+        return Some(AxisSwap::Within(*axes));
     }
     let known = found.mount_error.as_ref().filter(|error| {
         // A less certain rotation could be either convention.

@@ -118,6 +118,8 @@ pub struct CameraPose {
 /// Hand-eye solution for one mounting.
 #[derive(Clone, Debug)]
 pub struct HandEyeSolution {
+    /// Encoding of the target's poses.
+    pub encoding: TargetEncoding,
     /// Mounting of the camera.
     pub mount: CameraMount,
     /// Residual of the other mounting over this one's; infinite if it has no solution.
@@ -145,8 +147,8 @@ pub struct HandEyeDiagnosis {
     pub diversity: EstimateResult<RotationDiversity>,
     /// Solution for poses as logged.
     pub solution: EstimateResult<HandEyeSolution>,
-    /// Encoding with a much smaller closure error, if any, and its solution.
-    pub alternative: Option<(TargetEncoding, HandEyeSolution)>,
+    /// Solution for an encoding with a much smaller closure error, if any.
+    pub alternative: Option<HandEyeSolution>,
     /// Target's delay relative to the hand by the best solution.
     pub latency_s: EstimateResult<Measured>,
     /// Deviation from the logged camera pose, `logged_from_solved`.
@@ -158,8 +160,7 @@ pub struct HandEyeDiagnosis {
 impl HandEyeDiagnosis {
     /// Alternative encoding's solution if there is one.
     pub fn best(&self) -> Option<&HandEyeSolution> {
-        let read = self.alternative.as_ref().map(|(_, solution)| solution);
-        read.or(self.solution.as_ref().ok())
+        self.alternative.as_ref().or(self.solution.as_ref().ok())
     }
 }
 
@@ -219,10 +220,7 @@ fn latency(
     /// Another lag with a smaller ratio to the best fits equally well.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
     let as_logged = found.solution.as_ref().map_err(Clone::clone)?;
-    let (encoding, best) = match &found.alternative {
-        Some((encoding, solution)) => (*encoding, solution),
-        None => (TargetEncoding::AS_LOGGED, as_logged),
-    };
+    let best = found.alternative.as_ref().unwrap_or(as_logged);
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
         let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
@@ -234,7 +232,7 @@ fn latency(
     let min_separation_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
     let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > min_separation_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
-        let other = solve(streams, encoding, lag_s)?;
+        let other = solve(streams, best.encoding, lag_s)?;
         let is_as_good = other.misfit_rad < MAX_RESIDUAL_RATIO * best.misfit_rad;
         Some(other.offset_s.value).filter(|offset_s| is_as_good && is_other(offset_s))
     });
@@ -294,6 +292,7 @@ fn solve(
     let closure = closure_error(&streams.setting(encoding, mount, usize::MAX), fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
     Some(HandEyeSolution {
+        encoding,
         mount,
         ratio: other / misfit.max(1e-9),
         offset_s: fit.offset_s.with_error(streams.stamp_error_s),

@@ -91,7 +91,7 @@ pub(super) fn better_encoding(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetEncoding, HandEyeSolution)> {
+) -> Option<HandEyeSolution> {
     let closure = &as_logged.closure;
     if closure.excess_m.value < MAX_CLOSURE_M_RAD.0
         && closure.excess_rad.value < MAX_CLOSURE_M_RAD.1
@@ -102,36 +102,33 @@ pub(super) fn better_encoding(
         much_better_scale(streams, as_logged, lag_s),
         alternative_encoding(streams, as_logged, lag_s),
     ];
-    let misfit = |one: &(TargetEncoding, HandEyeSolution)| one.1.misfit_rad;
-    best.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
+    best.into_iter().flatten().min_by(|a, b| a.misfit_rad.total_cmp(&b.misfit_rad))
 }
 
 fn much_better_scale(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetEncoding, HandEyeSolution)> {
+) -> Option<HandEyeSolution> {
     /// Ratio to the logged excess error and to the corrected total.
     const MAX_EXCESS_RATIO: f64 = 0.5;
     let with_scale_of = |one: &HandEyeSolution| {
         let stretch = estimate_scale_error(streams, one.mount, one.offset_s.value)?;
-        let encoding = TargetEncoding::Scaled(stretch);
-        Some((encoding, solve(streams, encoding, lag_s)?))
+        solve(streams, TargetEncoding::Scaled(stretch), lag_s)
     };
     // A large scale error biases the time offset, so repeat at the corrected one.
-    let (_, first) = with_scale_of(as_logged)?;
-    let (encoding, solution) = with_scale_of(&first)?;
+    let solution = with_scale_of(&with_scale_of(as_logged)?)?;
     let (excess_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
     let closes =
         excess_m < MAX_EXCESS_RATIO * was_m && excess_m < MAX_EXCESS_RATIO * solution.closure.rms_m;
-    closes.then_some((encoding, solution))
+    closes.then_some(solution)
 }
 
 fn alternative_encoding(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetEncoding, HandEyeSolution)> {
+) -> Option<HandEyeSolution> {
     let logged_misfit = closure_error_with(streams, TargetEncoding::AS_LOGGED, lag_s)?;
     let tried = candidates(streams, lag_s).into_iter();
     let tried = tried
@@ -145,7 +142,7 @@ fn alternative_encoding(
     let errors = [(found.rms_m, logged.rms_m), (found.rms_rad, logged.rms_rad)];
     let closes = errors.iter().all(|(found, logged)| *found <= 1.1 * logged)
         && errors.iter().any(|(found, logged)| *found < MAX_RESIDUAL_RATIO * logged);
-    closes.then_some((encoding, solution))
+    closes.then_some(solution)
 }
 
 /// Uses the better mounting.
