@@ -284,16 +284,13 @@ pub(crate) fn estimate_imu_encoding(
     let ranked: Vec<(u8, &EncodingFit)> = fits.iter().map(|fit| (rank_of(fit), fit)).collect();
     // With the same frame errors, another encoding must explain more than link deviations. So must frame errors with
     // another encoding.
-    let is_usual = |rank: u8, fit: &EncodingFit| {
-        rank == 0
-            || matches!(fit.encoding, PoseEncoding::AsLogged)
-            || fit.frames == FreeFrameErrors::None
-    };
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
-        fit.residual_rad <= accepted || (is_usual(*rank, fit) && fit.residual_rad <= by_links)
+        let is_usual = *rank == 0
+            || matches!(fit.encoding, PoseEncoding::AsLogged)
+            || fit.frames == FreeFrameErrors::None;
+        fit.residual_rad <= accepted || (is_usual && fit.residual_rad <= by_links)
     };
-    let accepted_ranks = ranked.iter().filter(is_accepted);
-    let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
+    let simplest = ranked.iter().filter(is_accepted).map(|&(rank, _)| rank).min();
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let max_residual = max_similar(min_residual_rad(simple()).unwrap_or(min_residual));
     // Prefer an upright world, then the most common encoding.
@@ -387,15 +384,12 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 /// without a fault in any convention.
 fn all_fits(samples: &RotationSamples, agrees: &dyn Fn(&EncodingFit) -> bool) -> Vec<EncodingFit> {
     let mut frames = samples.frames;
-    let faultless = match samples.logged.values {
-        LoggedValues::Rotations(_) => vec![PoseEncoding::AsLogged],
-        LoggedValues::Numbers(_) => candidate_encodings(samples),
-    };
+    let encodings = candidate_encodings(samples).into_iter();
     let fits_without_fault = |encoding: PoseEncoding| {
         let fits = fits(encoding, &samples.candidates(encoding), samples.fk, &frames[..1]);
         fits.iter().all(|fit| fit.residual_rad <= MAX_EXPLAINED_RAD && agrees(fit))
     };
-    if faultless.into_iter().any(fits_without_fault) {
+    if encodings.filter(PoseEncoding::is_as_logged).any(fits_without_fault) {
         frames = &frames[..1];
     }
     let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
