@@ -10,9 +10,8 @@ use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 pub(super) struct Solved {
-    free: Vec<usize>,
     covariance: DMatrix<f64>,
-    /// Unobservable directions over all columns; the fit did not change them.
+    /// Directions over all columns that are not free or not observable; the fit did not change them.
     fixed: Vec<DVector<f64>>,
     dof: f64,
     /// Fitted parameters.
@@ -75,7 +74,9 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     let dof = fit.normal.dof(all.len() - random);
     let residuals = fit.residuals.into_iter().flatten().collect();
     let values = model.parameters().values(0..width);
-    Solved { free: all, covariance, fixed, dof, values, residuals }
+    let others = (0..width).filter(|column| !all.contains(column));
+    fixed.extend(others.map(|column| unit(width, column)));
+    Solved { covariance, fixed, dof, values, residuals }
 }
 
 /// Combinations of the `free` parameters that the motion excites, and those that it does not.
@@ -212,8 +213,7 @@ impl Solved {
     ) -> EstimateResult<DMatrix<f64>> {
         let at: Vec<usize> = parameters.collect();
         let block = self.covariance.select_rows(&at).select_columns(&at);
-        let is_free = at.iter().all(|column| self.free.contains(column));
-        let is_estimated = is_free && block.iter().all(|value| value.is_finite());
+        let is_estimated = block.iter().all(|value| value.is_finite());
         if is_estimated { Ok(block) } else { Err(NotObservable::NotExcited) }
     }
 }
