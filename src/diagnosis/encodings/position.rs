@@ -82,16 +82,14 @@ impl PositionEncodingEstimate {
                 return Self { metres, candidates, constant, ..placement };
             }
             let constant = constant_coordinates(&track.xyz, &at, reference_known);
-            let mut layouts = Vec::new();
-            if constant.iter().filter(|is| **is).count() < 2 {
-                let left_out = constant.iter().position(|is| *is);
-                let written =
-                    StreamPositions { xyz: &xyz, constant: left_out, read_as_m, reference_known };
-                layouts = candidate_encodings(&fk, reach_m, &written);
-            }
-            if by_poses.is_some() {
-                layouts.retain(|layout| layout.metres == 1.0);
-            }
+            let left_out = constant.iter().position(|is| *is);
+            let written =
+                StreamPositions { xyz: &xyz, constant: left_out, read_as_m, reference_known };
+            let mut layouts = match constant.iter().filter(|is| **is).count() {
+                0 | 1 => candidate_encodings(&fk, reach_m, &written),
+                _ => Vec::new(),
+            };
+            layouts.retain(|layout| by_poses.is_none() || layout.metres == 1.0);
             let residual_m = layouts.first().map_or(f64::MAX, |layout| layout.residual_m);
             if residual_m < min_residual_m {
                 min_residual_m = residual_m;
