@@ -68,7 +68,7 @@ impl<'a> RotationSamples<'a> {
     }
 }
 
-/// Rotations as logged, with what positions determine of them.
+/// Logged rotations, with the axes and the inversion that positions determine.
 #[derive(Clone, Copy)]
 pub(crate) struct LoggedRotations<'a> {
     pub values: LoggedValues<'a>,

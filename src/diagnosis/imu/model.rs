@@ -72,7 +72,7 @@ pub(super) struct Column {
     pub is_free: bool,
     /// Of a normal prior about zero, with which it is always fitted; 0 without a prior.
     pub precision: f64,
-    /// Precision with which it is fitted while effects are tested if it has no prior. `None` if it is not.
+    /// Without a prior, the precision with which it is fitted while effects are tested. `None` if it is then fixed.
     pub tested: Option<f64>,
 }
 
@@ -101,8 +101,8 @@ impl Parameters {
     /// Without effects. The delay is free if the IMU moves.
     pub fn new(delay: Delay, link_from_imu: Rotation, moves: bool, columns: Vec<Column>) -> Self {
         let Delay { latency_s, skew, middle_s } = delay;
-        let (effects, omitted) = (Vec::new(), Err(NotObservable::AtRest));
-        let mut new = Self { columns, middle_s, link_from_imu, effects, moves, skew: omitted };
+        let (effects, no_skew) = (Vec::new(), Err(NotObservable::AtRest));
+        let mut new = Self { columns, middle_s, link_from_imu, effects, moves, skew: no_skew };
         for (column, value) in [(Self::LATENCY, latency_s), (Self::SKEW, skew)] {
             new.columns[column] = Column { value, is_free: moves, ..new.columns[column] };
         }
