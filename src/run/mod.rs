@@ -59,6 +59,7 @@ mod trajectory;
 mod unwrap;
 mod velocities;
 mod vibration;
+mod zero_rows;
 
 use std::sync::Arc;
 

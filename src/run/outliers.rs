@@ -23,7 +23,7 @@ use super::streams::{Stream, StreamClocks, with_key};
 /// Maximum number of consecutive outliers.
 const MAX_CONSECUTIVE: usize = 3;
 /// Maximum duration, s; longer excursions may be motion.
-const MAX_DURATION_S: f64 = 0.25;
+pub(super) const MAX_DURATION_S: f64 = 0.25;
 /// Minimum ratio of a jump to the usual and nearby steps.
 const MIN_STEP_RATIO: f64 = 5.0;
 /// Ratio to the usual steps that always suffices.
@@ -39,7 +39,7 @@ const MAX_SHARE: f64 = 0.05;
 /// Minimum number of samples; with fewer, no outliers are reported.
 pub const MIN_OUTLIER_SAMPLES: usize = 20;
 
-/// Outliers of a stream, transform or joint.
+/// Outliers of a stream, transform or joint, or its rows of zeros.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outliers {
     /// Index of the stream.
@@ -48,6 +48,8 @@ pub struct Outliers {
     pub frame: Option<String>,
     /// The joint.
     pub joint: Option<String>,
+    /// Whether all joints are exactly 0 in these rows.
+    pub are_zeros: bool,
     /// Largest jump; a joint's, in its unit, as `length_m`.
     pub largest_jump: PoseDistance,
     /// Stamp of that sample, if it has one.
@@ -79,11 +81,12 @@ pub(super) fn remove_outliers(outliers: &[Outliers], stream: usize, piece: usize
     }
 }
 
-/// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ.
+/// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ, and rows of zeros.
 pub(super) fn detect_outliers(
     streams: &[Stream],
     clocks: &StreamClocks,
     publishers: &[TwoPublishers],
+    zeros: &[Outliers],
 ) -> Vec<Outliers> {
     let is_of_two =
         |stream: usize, piece: usize| TwoPublishers::of_part(publishers, stream, piece).is_some();
@@ -102,7 +105,11 @@ pub(super) fn detect_outliers(
         };
         match &stream.columns {
             _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
-            Some(Columns::Joints(joints)) => joint_outliers(index, joints, &|row| at(0, row)),
+            Some(Columns::Joints(joints)) => {
+                let zeros = with_key(zeros, index, |found| found.stream).first();
+                let zeros = zeros.map_or(&[] as &[_], |found| &found.rows);
+                joint_outliers(index, joints, zeros, &|row| at(0, row))
+            }
             Some(columns @ (Columns::Poses(poses) | Columns::Transforms(poses))) => {
                 let is_tf = matches!(columns, Columns::Transforms(_));
                 let of = |(piece, poses)| {
@@ -123,13 +130,17 @@ pub(super) fn detect_outliers(
 
 type StampOfRow<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
-fn joint_outliers(stream: usize, joints: &JointColumns, at: StampOfRow) -> Vec<Outliers> {
+fn joint_outliers(
+    stream: usize,
+    joints: &JointColumns,
+    zeros: &[usize],
+    at: StampOfRow,
+) -> Vec<Outliers> {
     let of = |column: &JointColumn| {
         let q = &column.position;
-        let known: Option<Vec<usize>> = q
-            .iter()
-            .any(|q| q.is_nan())
-            .then(|| (0..q.len()).filter(|&row| q[row].is_finite()).collect());
+        let is_known = |row: &usize| q[*row].is_finite() && zeros.binary_search(row).is_err();
+        let known: Option<Vec<usize>> = (!zeros.is_empty() || q.iter().any(|q| q.is_nan()))
+            .then(|| (0..q.len()).filter(is_known).collect());
         let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
         let samples = known.as_ref().map_or(q.len(), Vec::len);
         let distance = |a: usize, b: usize| angular_distance(q[row(b)] - q[row(a)]);
@@ -139,6 +150,7 @@ fn joint_outliers(stream: usize, joints: &JointColumns, at: StampOfRow) -> Vec<O
             stream,
             frame: None,
             joint: Some(column.name.clone()),
+            are_zeros: false,
             largest_jump: PoseDistance { length_m, angle_rad: 0.0 },
             largest_at: at(row(farthest)),
             piece: 0,
@@ -212,7 +224,16 @@ fn outliers_from_jumps(
         identifiable_rows(moved, samples).chain(identifiable_rows(turned, samples)).collect();
     rows.sort_unstable();
     rows.dedup();
-    Some(Outliers { stream, frame, joint: None, largest_jump, largest_at, piece, rows })
+    Some(Outliers {
+        stream,
+        frame,
+        joint: None,
+        are_zeros: false,
+        largest_jump,
+        largest_at,
+        piece,
+        rows,
+    })
 }
 
 fn largest_jump(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
@@ -486,7 +507,7 @@ mod tests {
         let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();
         position[400] += 1.0;
         joints.joints.push(JointColumn::from_positions("a".into(), position));
-        let found = joint_outliers(0, &joints, &|_| None);
+        let found = joint_outliers(0, &joints, &[], &|_| None);
         assert_eq!(found[0].rows, [400]);
         assert!((found[0].largest_jump.length_m - 1.0).abs() < 0.1);
     }

@@ -8,11 +8,12 @@ use super::role::Role;
 use super::rows::Rows;
 use super::stale::{self, StaleJoints, detect_stale_joints};
 use super::streams::{Stream, StreamClocks, with_key};
+use super::zero_rows::detect_zero_rows;
 
 /// Samples excluded from estimation; each list is sorted by stream and part.
 #[derive(Debug, Default)]
 pub struct SampleFilter {
-    /// Outliers.
+    /// Outliers and rows of zeros.
     pub outliers: Vec<Outliers>,
     /// Parts with two publishers.
     pub publishers: Vec<TwoPublishers>,
@@ -31,9 +32,11 @@ impl SampleFilter {
             rows
         };
         let publishers = detect_publishers(&parts, &all_rows);
+        let zeros = detect_zero_rows(streams, clocks, &publishers);
         let rows = |part: &Part<'_>| {
             let mut rows = all_rows(part);
             publishers::remove_second_publisher(&publishers, part.stream, part.piece, &mut rows);
+            outliers::remove_outliers(&zeros, part.stream, part.piece, &mut rows);
             // A message resent with its stamp is the same row.
             rows.dedup_by_key(|(stamp, _)| *stamp);
             rows
@@ -49,7 +52,9 @@ impl SampleFilter {
             detect_stale_joints(&series)
         });
         let stale = stale.collect();
-        let outliers = detect_outliers(streams, clocks, &publishers);
+        let mut outliers = detect_outliers(streams, clocks, &publishers, &zeros);
+        outliers.extend(zeros);
+        outliers.sort_by_key(|found| (found.stream, found.piece));
         Self { outliers, publishers, repeated, stale }
     }
 

@@ -16,15 +16,15 @@ const MIN_ROWS: usize = 10;
 /// Maximum frozen motion, noise standard deviations.
 pub(super) const MAX_FROZEN_MOTION_SIGMAS: f64 = 8.0;
 /// Minimum final jump, rad or m, and in usual non-zero steps, to exclude a coarse encoder's resolution.
-const MIN_JUMP: f64 = 5e-3;
+pub(super) const MIN_JUMP: f64 = 5e-3;
 const MIN_JUMP_STEPS: f64 = 4.0;
 /// Minimum ratio to the steps after it.
-const MIN_STEP_RATIO: f64 = 5.0;
+pub(super) const MIN_STEP_RATIO: f64 = 5.0;
 /// Maximum acceleration of a real joint, rad/s² or m/s²; jumps exceed it. A hand-guided UR5e stops by up to
 /// 87 rad/s² in public recordings (docs/real-logs.md).
 pub(super) const MAX_ACCELERATION: f64 = 100.0;
 /// Rows on each side that show joint speeds.
-const SPEED_ROWS: usize = 4;
+pub(super) const SPEED_ROWS: usize = 4;
 
 #[derive(Debug)]
 pub(super) struct StaleJoints {

@@ -71,6 +71,13 @@ cases! {
             states.nth(200).expect("a joint state").turn_joint(2, 0.5);
         });
     } => warning(ExpectedSubject::JointOf(JOINT_STATES, "elbow_joint"), AmountWithoutInterval(0.5, 0.02));
+    MOT005 joint_states_of_zeros_among_measured_ones: |log| {
+        log.edit = Some(|messages| {
+            let states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
+            let zeros = (0_usize..).zip(states).filter(|(row, _)| row * 7919 % 13 == 5);
+            zeros.for_each(|(_, state)| state.scale_joints(0.0));
+        });
+    } => warning(ExpectedSubject::Topic(JOINT_STATES), AmountWithoutInterval(1.8, 1.3));
     MOT005 motion_is_not_reported_as_outliers: |log| log.run.pose.timing.rate_hz = 20.0 => NoFindings;
     MOT005 large_noise_is_not_reported_as_outliers: |log| {
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (1e-3, 2e-3);

@@ -11,7 +11,8 @@ rule! {
     /// ## What it means
     /// One to three consecutive samples of a joint, pose or transform are at least five times as far from
     /// their neighbours as any samples nearby, and the motion then continues from its old place. No arm
-    /// moves like that.
+    /// moves like that. In joint states, also all rows in which all joints are exactly 0 and to and from which
+    /// the joints jump, however many.
     ///
     /// ## Why it matters
     /// Other checks exclude these samples. Consumers do not: a controller follows the jump, a filter smears
@@ -21,18 +22,20 @@ rule! {
     /// - `count`: number of samples that are outliers; joints that jump together are one sample.
     /// - `length_m` (in the joint's unit for a joint), `angle_rad`: distance of the farthest; `at_ns`: its
     ///   stamp.
-    /// - `parts`: affected joints or transforms.
+    /// - `parts`: affected joints or transforms; with `zeros`, the rows of zeros.
     /// - The estimate is the longest jump as logged, or the largest angle if no position jumps.
     ///
     /// ## How to fix
     /// Check the source at that time: a zero pose before the first measurement, a bit error between encoder
-    /// and driver, a tracker that locked on another target, or a second publisher. Drop such samples, or
-    /// repeat the last valid one, at the source.
+    /// and driver, a tracker that locked on another target, or a second publisher. Rows of zeros are the
+    /// defaults of a message that a driver sends before or between its readings. Drop such samples at the
+    /// source.
     ///
     /// ## When it misleads
     /// - A jump longer than 0.25 s may be a motion and is not reported.
-    /// - If more than 5 % of the samples jump, outliers cannot be identified and the rule is inconclusive.
-    ///   FRM004 reports two publishers of one transform.
+    /// - If more than 5 % of the samples jump elsewhere than to 0, outliers cannot be identified and the rule is
+    ///   inconclusive. FRM004 reports two publishers of one transform.
+    /// - A simulated arm that is reset to 0 and then to another place has such rows.
     /// - Fewer than 20 samples are also inconclusive.
     /// - For poses and untyped arrays only positions are checked.
     /// - In a stream whose declared unit is wrong (ORD008) the jump has the same wrong scale.
@@ -72,7 +75,12 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
         other => other,
     };
     let amounts = reported().map(|part| (part, amount(part)));
-    let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
+    let order = |(part, (_, by)): &(&Outliers, (Unit, f64))| (part.are_zeros, *by);
+    let worst = amounts.max_by(|a, b| {
+        let (a, b) = (order(a), order(b));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    let Some((worst, (unit, amount))) = worst else {
         return judged(stream.subject.clone(), Outcome::pass());
     };
     let subject = match reported().collect::<Vec<_>>().as_slice() {
@@ -87,6 +95,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
     let parts = reported().take(MAX_LISTED).map(|part| {
         json!({
             "joint": part.joint,
+            "zeros": part.are_zeros,
             "frame": part.frame,
             "count": part.count(),
             "length_m": part.largest_jump.length_m * factor,
@@ -117,7 +126,8 @@ fn factor_to_m(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> f64 {
 impl OutlierEvidence {
     /// Jump of a part.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
-        let is_angle = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
+        let is_turning = |joint: &String| !self.sliding.contains(joint);
+        let is_angle = part.are_zeros || part.joint.as_ref().is_some_and(is_turning);
         match (is_angle, part.largest_jump.length_m) {
             (true, by) => (Unit::Radian, by),
             (false, 0.0) => (Unit::Radian, part.largest_jump.angle_rad),
@@ -133,15 +143,35 @@ fn fault(
     count: usize,
     shown: &str,
 ) -> Fault {
+    let topic = stream.subject.label();
     let when =
         worst.largest_at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
+    if worst.are_zeros {
+        let (rows, all) = (worst.count(), stream.samples);
+        let others = match count - rows {
+            0 => String::new(),
+            others => format!("; {others} other samples jump away and back"),
+        };
+        return Fault {
+            cause: Cause::Pictured(Picture::Stream),
+            severity: Severity::Warning,
+            title: "all joints jump to exactly 0",
+            message: format!(
+                "all joints are exactly 0 in {rows} of {all} samples, by up to {shown}{when} from where they are \
+                 before and after; excluded from all other checks{others}"
+            ),
+            evidence: Evidence::default(),
+            fix: format!(
+                "check why the driver fills {topic} with zeros instead of readings, and publish nothing then"
+            ),
+        };
+    }
     let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
         (1, ..) => String::new(),
         (_, Some(part), _) | (_, None, Some(part)) => format!(" ({part})"),
         _ => String::new(),
     };
-    let (samples, topic) =
-        (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
+    let samples = if count == 1 { "sample jumps" } else { "samples jump" };
     let most = if count == 1 { "" } else { "up to " };
     Fault {
         cause: Cause::Pictured(Picture::Stream),
