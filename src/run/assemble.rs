@@ -266,9 +266,10 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 }
 
 impl Assembly<'_> {
-    /// Standard error of a part's stamps against the joint states, s. Copied stamps have none.
+    /// Standard error of a part's stamps against the joint states, s. Copied stamps have none, unless a coarse clock made
+    /// them equal.
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize, are_copied: bool) -> f64 {
-        if are_copied {
+        if are_copied && self.timing.clocks.rounded_stamps(stream, piece).is_none() {
             return 0.0;
         }
         let joints = arm.joint_sources.first().map(|joint| joint.stream);

@@ -26,6 +26,8 @@ pub struct RoundedStamps {
     pub shared_rows: usize,
     /// Maximum error, s, besides a constant offset of up to half a tick.
     pub resolution_s: f64,
+    /// Whether the rows are those of a table, so that its columns share their times whatever the stamps.
+    pub is_of_table: bool,
     /// Index of the stream's part.
     pub(super) piece: usize,
     /// Group of parts with the same stamps, as in one table.
@@ -59,7 +61,8 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
     for (index, stream) in streams.iter().enumerate() {
         for (piece, raw) in parts_of_use(stream, clock) {
             if let Some((group, restored)) = known.get(raw) {
-                found.push(restored.report((index, piece), *group));
+                let is_of_table = stream.is_from_table || stream.read_as.is_some();
+                found.push(restored.report((index, piece), is_of_table, *group));
             }
         }
     }
@@ -119,9 +122,22 @@ struct RestoredStamps {
 }
 
 impl RestoredStamps {
-    fn report(&self, (stream, piece): (usize, usize), group: usize) -> RoundedStamps {
+    fn report(
+        &self,
+        (stream, piece): (usize, usize),
+        is_of_table: bool,
+        group: usize,
+    ) -> RoundedStamps {
         let Self { tick_s, shared, resolution_s, .. } = *self;
-        RoundedStamps { stream, piece, tick_s, shared_rows: shared, resolution_s, group }
+        RoundedStamps {
+            stream,
+            piece,
+            tick_s,
+            shared_rows: shared,
+            resolution_s,
+            is_of_table,
+            group,
+        }
     }
 
     /// Whether the values are smoother at the restored times than at the stamps. Copies of another stream's stamps are exact.

@@ -455,7 +455,13 @@ impl StreamClocks {
             (resolution_s + 0.5 * tick_s) / 3_f64.sqrt()
         };
         let rounding_s = match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
-            (Some(one), Some(other)) if one.group == other.group => 0.0,
+            (Some(one), Some(other)) if one.group == other.group => {
+                match one.is_of_table && other.is_of_table {
+                    true => 0.0,
+                    // Both clocks round alike, but equal stamps do not show equal times.
+                    false => f64::hypot(one.resolution_s, other.resolution_s) / 3_f64.sqrt(),
+                }
+            }
             _ => f64::hypot(rounding(a), rounding(b)),
         };
         f64::hypot(spread(a), spread(b)).hypot(rounding_s)

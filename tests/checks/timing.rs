@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use poseaudit::finding::{Estimate, Status};
+use poseaudit::finding::{Estimate, Severity, Status};
 use poseaudit::geometry::Vec3;
 use poseaudit::report::Report;
 use poseaudit::synth::{IMU, JOINT_STATES, POSE, Scenario, SynthComplianceKind};
@@ -151,6 +151,26 @@ fn restored_stamps_that_were_truncated_are_not_reported_as_early() {
     assert_eq!(codes(&report), ["TIM005"].into(), "{}", summary(&report.findings));
     let message = &single_finding(&report, "TIM005", POSE).message;
     assert!(message.contains("multiples of 15.6 ms"), "{message}");
+    let latency = report.checks.iter().find(|row| row.code == "LAT001").expect("a check");
+    assert_eq!(latency.status, Status::Inconclusive, "{latency:?}");
+}
+
+#[test]
+fn equal_stamps_in_whole_seconds_show_no_latency() {
+    let report = Log::modified(|log| {
+        use_high_rates(&mut log.run);
+        log.run.pose.timing.rate_hz = log.run.joints.timing.rate_hz;
+        log.run.pose.timing.phase_s = log.run.joints.timing.phase_s;
+        log.edit = Some(|messages: &mut Vec<Message>| {
+            let tick_ns = SECOND_NS as i64;
+            round_stamps(messages, POSE, tick_ns);
+            round_stamps(messages, JOINT_STATES, tick_ns);
+        });
+    })
+    .report();
+    for topic in [POSE, JOINT_STATES] {
+        assert_eq!(single_finding(&report, "TIM005", topic).severity, Severity::Warning);
+    }
     let latency = report.checks.iter().find(|row| row.code == "LAT001").expect("a check");
     assert_eq!(latency.status, Status::Inconclusive, "{latency:?}");
 }

@@ -46,7 +46,8 @@ rule! {
     /// - /tf from robot_state_publisher copies the joint states' stamps and cannot show whether they are
     ///   late.
     /// - Stamps truncated to the tick of a coarse clock are early by half a tick; the message reports it. The interval
-    ///   includes half a tick of each clock, unless one stream copies the stamps of the other.
+    ///   includes half a tick of each clock. If two topics share their rounded stamps, it includes the accuracy of the
+    ///   restored ones.
     /// - A stream on another clock (TIM003) is first aligned by minimum delay, which hides a constant
     ///   transport delay.
     LAT001 {

@@ -14,8 +14,9 @@ rule! {
     /// others. Their samples are excluded.
     ///
     /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so rows share one or
-    /// intervals alternate. The audit restores them from the row order (`info`). Intervals of one and two ticks may also be
-    /// losses; they are restored if the motion is much smoother at the restored times.
+    /// intervals alternate. The audit restores them from the row order (`info`; a warning if most messages of a topic share
+    /// the previous one's stamp). Intervals of one and two ticks may also be losses; they are restored if the motion is much
+    /// smoother at the restored times.
     ///
     /// ## Why it matters
     /// Receive times, and a latency found from them, include the transport delay and its scatter.
@@ -128,15 +129,16 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> SubjectResult {
 fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps) -> SubjectResult {
     let RoundedStamps { tick_s, shared_rows: shared, resolution_s, .. } = *rounded;
     let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
+    let rows = stream.clock.rows;
     let sharing = match shared {
         0 => String::new(),
-        shared => {
-            format!(", {shared} of {} rows share one with the previous row", stream.clock.rows)
-        }
+        shared => format!(", {shared} of {rows} rows share one with the previous row"),
     };
+    // The columns of a table need no stamps to be compared.
+    let are_mostly_constant = 2 * shared as u64 > rows && !rounded.is_of_table;
     let fault = Fault {
         cause: Cause::Stamps,
-        severity: Severity::Info,
+        severity: if are_mostly_constant { Severity::Warning } else { Severity::Info },
         title: "stamps are rounded",
         message: format!(
             "stamps are multiples of {tick}{sharing}; restored from the row order to ±{resolution}, plus a \
