@@ -144,11 +144,19 @@ fn undecided_reason(measured: &Measured, threshold: &Threshold) -> String {
     if !half.is_finite() || !measured.value.is_finite() {
         return format!("uncertainty not bounded, limit ±{}", unit.show(threshold.warning));
     }
-    if half > threshold.warning {
+    too_uncertain(measured, threshold).unwrap_or_else(|| {
+        format!("{} is not significantly different from zero", unit.show_measured(measured))
+    })
+}
+
+/// Why the interval is too wide for a pass; `None` if it is narrow enough.
+pub fn too_uncertain(measured: &Measured, threshold: &Threshold) -> Option<String> {
+    let unit = threshold.unit;
+    let half = unit.half_width(measured, PASS_CONFIDENCE);
+    (half > threshold.warning).then(|| {
         let (half, needed) = (unit.show(half), unit.show(threshold.warning));
-        return format!("uncertainty ±{half} exceeds the limit of ±{needed}");
-    }
-    format!("{} is not significantly different from zero", unit.show_measured(measured))
+        format!("uncertainty ±{half} exceeds the limit of ±{needed}")
+    })
 }
 
 /// Outcome without an estimate. `settle` names the motion or topic that would make it observable.

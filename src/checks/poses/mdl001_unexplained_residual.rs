@@ -2,7 +2,7 @@ mod imu;
 
 use serde_json::{Value, json};
 
-use crate::checks::decision::not_observable;
+use crate::checks::decision::{not_observable, too_uncertain};
 use crate::checks::encoding::{encoding_names, rotation_not_checked};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::residual_attribution::{
@@ -65,7 +65,8 @@ rule! {
     /// joint states.
     ///
     /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9) or
-    /// repeats with the configuration. Otherwise the rule and the run are inconclusive.
+    /// repeats with the configuration. Otherwise the rule and the run are inconclusive, as if the interval of the residual
+    /// is wider than the threshold.
     ///
     /// ## How to fix
     /// Use the arm's calibrated description (for a UR, `calibration.yaml` extracted from the controller).
@@ -256,6 +257,9 @@ fn judge(
     // `null` in the report.
     let none = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: f64::INFINITY };
     let length = excess_rms(&error.length.whole);
+    let thresholds = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
+    let uncertain = too_uncertain(&length, &thresholds.length)
+        .or_else(|| too_uncertain(angle.as_ref()?, &thresholds.angle));
     let competing = &arm.indistinguishable_models;
     let outcome = match outcome(case, arm, attributed, all) {
         Outcome::Evaluated(Ruling::Fail(_))
@@ -270,6 +274,9 @@ fn judge(
         }
         Outcome::Evaluated(Ruling::Pass(_)) if !stream.unidentified_columns.is_empty() => {
             rotation_not_checked(&stream.unidentified_columns)
+        }
+        Outcome::Evaluated(Ruling::Pass(_)) if uncertain.is_some() => {
+            Outcome::Inconclusive(format!("{}; {}", uncertain.unwrap_or_default(), settle(subject)))
         }
         outcome => outcome,
     };

@@ -70,6 +70,19 @@ fn an_error_at_the_noise_level_is_noise() {
 }
 
 #[test]
+fn a_residual_with_an_interval_beyond_the_threshold_is_inconclusive() {
+    let (row, findings) = judged(1e-4, 1e-4, |arm| {
+        let proof = arm.poses[0].proof.as_mut().expect("a proof");
+        for error in [&mut proof.as_logged].into_iter().chain(&mut proof.corrected) {
+            let noise = SampleNoise { rms: 0.08, quantile_95: 0.1, lag_samples: 10 };
+            error.length.whole.noise = Some(noise);
+        }
+    });
+    assert!(findings.is_empty() && row.status == Status::Inconclusive, "{row:?}");
+    assert!(row.reason.is_some_and(|why| why.starts_with("uncertainty ±15.9 mm")));
+}
+
+#[test]
 fn joint_states_without_a_reference_are_inconclusive() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
