@@ -9,7 +9,7 @@ use poseaudit::report::Report;
 use poseaudit::synth::IMU;
 
 use crate::checks::case::ExpectedEstimate::{
-    Amount, AmountWithoutInterval, Degrees, DegreesPerMinute, IsReadAs,
+    self, Amount, AmountWithoutInterval, Degrees, DegreesPerMinute, IsReadAs,
 };
 use crate::checks::case::ExpectedSubject::Topic;
 use crate::checks::case::{Expected, Log, cases, error, single_finding, summary, warning};
@@ -37,6 +37,12 @@ cases! {
     ORD008 an_accelerometer_in_milli_g: |log| {
         log.edit = Some(|messages| edit_imu(messages, accel_to_milli_g));
     } => error(Topic(IMU), IsReadAs("mg", "m/s²"));
+    ORD008 an_accelerometer_with_twice_the_scale: |log| {
+        log.edit = Some(|messages| edit_imu(messages, |sample| sample.accel *= 2.0));
+    } => error(Topic(IMU), AmountWithoutInterval(2.0, 0.05));
+    YAW002 a_linear_acceleration_without_gravity: |log| {
+        log.edit = Some(|messages| edit_imu(messages, remove_gravity));
+    } => warning(Topic(IMU), ExpectedEstimate::None);
     YAW002 an_accelerometer_in_g_is_not_reported_as_tilt: |log| {
         log.edit = Some(|messages| edit_imu(messages, accel_to_g));
     } => OnlyOtherFinding("ORD008");
@@ -134,6 +140,10 @@ fn gyro_to_degrees(sample: &mut Sample) {
 
 fn accel_to_g(sample: &mut Sample) {
     sample.accel /= 9.80665;
+}
+
+fn remove_gravity(sample: &mut Sample) {
+    sample.accel -= sample.world_from_imu.inverse() * (9.80665 * Vec3::z());
 }
 
 fn accel_to_milli_g(sample: &mut Sample) {

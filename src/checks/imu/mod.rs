@@ -7,7 +7,7 @@ pub(super) mod yaw004_gyro_bias;
 
 use super::Family;
 use super::decision::DEGREE;
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, ImuEvidence};
 use crate::finding::{Outcome, Ruling, Unit};
 
 pub(super) static FAMILY: Family = Family {
@@ -19,6 +19,17 @@ pub(super) static FAMILY: Family = Family {
         &yaw004_gyro_bias::YAW004,
     ],
 };
+
+/// Standard gravity, m/s².
+pub(super) const GRAVITY_M_S2: f64 = 9.81;
+/// Largest relative error of a healthy accelerometer's median, on a resting or moving arm.
+pub(super) const MAX_GRAVITY_ERROR: f64 = 0.2;
+
+/// Specific force at rest over gravity, if it differs by more than an accelerometer's error.
+pub(super) fn wrong_gravity(imu: &ImuEvidence) -> Option<f64> {
+    let ratio = imu.diagnosis.conventions.force_at_rest_m_s2? / GRAVITY_M_S2;
+    ((ratio - 1.0).abs() > MAX_GRAVITY_ERROR).then_some(ratio)
+}
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

@@ -1,9 +1,9 @@
-use super::signed_axis;
+use super::{GRAVITY_M_S2, MAX_GRAVITY_ERROR, signed_axis, wrong_gravity};
 use crate::checks::decision::{DEGREE, Threshold, decide_length, not_observable};
 use crate::checks::{CONTRADICTION, Case, Grade, SubjectResult};
 use crate::diagnosis::{MeasuredLength, UpDirections};
 use crate::evidence::{ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit, rounded};
 
 rule! {
     /// The roll and pitch of an IMU disagree with gravity.
@@ -23,6 +23,9 @@ rule! {
     /// (REP 145): z down is NED. `up_in_world` is the measured up direction in that frame, `up_in_base` the
     /// same in the arm's base by FK and the mount. `contradiction`: another encoding of the orientation
     /// explains the tilt, but the motion does not determine it. The run does not pass.
+    ///
+    /// If the specific force at rest is below a fifth of gravity, gravity was removed from it, unlike REP 145 says. That
+    /// is a warning, as the tilt is then not observable. `felt_m_s2` is the force.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world frame.
@@ -49,6 +52,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 }
 
 fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
+    if let Some(ratio) = wrong_gravity(imu).filter(|ratio| *ratio <= MAX_GRAVITY_ERROR) {
+        let felt_m_s2 = ratio * GRAVITY_M_S2;
+        let outcome = Outcome::fail(without_gravity(imu.topic(), felt_m_s2));
+        return imu.judged(outcome).with_evidence("felt_m_s2", felt_m_s2);
+    }
     let tilt = match &imu.diagnosis.tilt_rad {
         Ok(tilt) => tilt,
         Err(why) => return imu.judged(not_observable(why, SETTLE)),
@@ -110,6 +118,21 @@ fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
         format!("{up} of the orientation's world frame points up; REP 145 requires z"),
         format!("rotate the orientation's world frame so that its {up} becomes z"),
     ))
+}
+
+fn without_gravity(topic: &str, felt_m_s2: f64) -> Fault {
+    Fault {
+        cause: Cause::Pictured(Picture::Stream),
+        severity: Severity::Warning,
+        title: "linear acceleration lacks gravity",
+        message: format!(
+            "gravity was removed from the linear acceleration: it reads {} m/s² at rest, while REP 145 requires the \
+             specific force, {GRAVITY_M_S2} m/s²",
+            rounded(felt_m_s2, 2)
+        ),
+        evidence: Evidence::default(),
+        fix: format!("publish the accelerometer's own values on {topic}, with gravity"),
+    }
 }
 
 fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -> Fault {

@@ -1,4 +1,5 @@
 use crate::checks::decision::not_observable;
+use crate::checks::imu::{GRAVITY_M_S2, MAX_GRAVITY_ERROR, wrong_gravity};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
 use crate::evidence::{ArmEvidence, ImuEvidence, PoseEvidence, StreamEvidence};
@@ -12,7 +13,8 @@ rule! {
     /// A pose stream's positions are not in metres (REP 103), but in millimetres as pendants show them,
     /// centimetres, inches or tenths of a millimetre. Or a prismatic joint is in millimetres or
     /// centimetres. Or a stream's declared unit is wrong, either way. Or an IMU's linear acceleration is in
-    /// g, mg or cm/s² instead of m/s²; the other rules use the converted values.
+    /// g, mg or cm/s² instead of m/s²; the other rules use the converted values. Or it is off by another factor at rest,
+    /// such as 2.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far away. Consumers that do not fail may compensate for it
@@ -24,7 +26,8 @@ rule! {
     /// metres.
     ///
     /// - `as_logged_m`, `corrected_m`: position residual against FK in metres and in the detected unit.
-    /// - `felt`: median magnitude of an accelerometer's specific force at rest: 9.81 in m/s², 1 in g.
+    /// - `felt`: median magnitude of an accelerometer's specific force at rest: 9.81 in m/s², 1 in g. If it is below a
+    ///   fifth of gravity, gravity is removed (YAW002).
     ///
     /// ## How to fix
     /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit, unless it changes
@@ -82,7 +85,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
-        return feels.then(|| imu.judged(Outcome::pass()));
+        let scale = wrong_gravity(imu).filter(|ratio| *ratio > MAX_GRAVITY_ERROR);
+        return match scale {
+            Some(scale) => Some(judge_accelerometer_scale(imu, scale)),
+            None => feels.then(|| imu.judged(Outcome::pass())),
+        };
     };
     let (topic, symbol) = (imu.topic(), unit.symbol());
     let size = rounded(felt, 2);
@@ -100,6 +107,29 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResul
     let judged = imu.judged(Outcome::fail(fault));
     let judged = judged.estimated(Estimate::misinterpretation("acceleration unit", symbol, "m/s²"));
     Some(judged.with_evidence("felt", felt))
+}
+
+/// `scale` is the specific force at rest over gravity.
+fn judge_accelerometer_scale(imu: &StreamEvidence<ImuEvidence>, scale: f64) -> SubjectResult {
+    let (felt, topic) = (scale * GRAVITY_M_S2, imu.topic());
+    let fault = Fault {
+        severity: Severity::Error,
+        cause: Cause::Pictured(Picture::Stream),
+        title: "accelerometer scale is wrong",
+        message: format!(
+            "linear acceleration is {} times too large: it reads {} m/s² at rest, while gravity is {GRAVITY_M_S2} m/s²",
+            rounded(scale, 2),
+            rounded(felt, 2)
+        ),
+        evidence: Evidence::default(),
+        fix: format!(
+            "convert the counts of {topic} with the accelerometer's full-scale range, and check that gravity is not \
+             added twice"
+        ),
+    };
+    imu.judged(Outcome::fail(fault))
+        .estimated(Estimate::exact("acceleration scale", Unit::One.symbol(), scale))
+        .with_evidence("felt", felt)
 }
 
 /// Prismatic joints not in metres.

@@ -18,6 +18,8 @@ pub struct ImuConventions {
     pub degrees: Option<UnitResiduals>,
     /// Accelerometer unit, if not m/s².
     pub accel: Option<AccelUnitError>,
+    /// Median specific force at rest, m/s² in the detected unit. `None` if the arm hardly rests or the force is zero.
+    pub force_at_rest_m_s2: Option<f64>,
     /// Gyro saturation.
     pub saturation: Option<GyroSaturation>,
     /// Gyro axis (0 is x) with reversed sign: left-handed axes. Only a known mount identifies which.
@@ -99,8 +101,13 @@ impl ImuConventions {
         let mirrored_axis = mirrored_axis(&free, link.known_mount());
         let saturation = detect_saturation(&plateaus, &stream.track.gyro, &pairs, &free, factor);
         let rests: Vec<usize> = resting.iter().map(|(row, _)| *row).collect();
-        let accel = accel_unit_error(stream.track, &rests);
-        Self { degrees, accel, saturation, mirrored_axis }
+        let force = StaticForce::measure(stream.track, &rests);
+        let accel = force.and_then(|force| force.unit_error());
+        let unit_m_s2 = accel.map_or(1.0, |error| error.unit.in_m_s2());
+        let at_rest = force.filter(|force| force.is_at_rest || force.is_steady());
+        let force_at_rest_m_s2 =
+            at_rest.map(|force| unit_m_s2 * force.median).filter(|force| *force > 0.0);
+        Self { degrees, accel, force_at_rest_m_s2, saturation, mirrored_axis }
     }
 
     /// Converts the track to rad/s, m/s² and right-handed axes.
@@ -278,21 +285,37 @@ fn detect_saturation(
     })
 }
 
-/// Uses the samples at rest, or the whole run if the norm is nearly constant.
-fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
-    /// Share of the median. A larger spread is motion, not gravity.
-    const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
-    let all: Vec<usize> = (0..track.accel.len()).collect();
-    let rows: &[usize] = if rests.len() >= MIN_FIT_SAMPLES { rests } else { &all };
-    let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
-    let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
-    let felt = median?;
-    if high? - low? > MAX_INTERQUARTILE_SHARE * felt {
-        return None;
+/// Norm of the specific force at rest, or in the whole run if the arm hardly rests, as logged.
+#[derive(Clone, Copy)]
+struct StaticForce {
+    is_at_rest: bool,
+    median: f64,
+    interquartile_range: f64,
+}
+
+impl StaticForce {
+    fn measure(track: &ImuTrack, rests: &[usize]) -> Option<Self> {
+        let is_at_rest = rests.len() >= MIN_FIT_SAMPLES;
+        let all: Vec<usize> = (0..track.accel.len()).collect();
+        let rows: &[usize] = if is_at_rest { rests } else { &all };
+        let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
+        let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
+        Some(Self { is_at_rest, median: median?, interquartile_range: high? - low? })
     }
-    let off = |unit: &AccelUnit| (felt * unit.in_m_s2() / GRAVITY_M_S2 - 1.0).abs();
-    let nearest = AccelUnit::ALL.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-    (off(&nearest) < UNIT_TOLERANCE).then_some(AccelUnitError { unit: nearest, norm: felt })
+
+    /// Whether it can be gravity: a larger spread is motion or noise.
+    fn is_steady(&self) -> bool {
+        /// Share of the median.
+        const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
+        self.interquartile_range <= MAX_INTERQUARTILE_SHARE * self.median
+    }
+
+    fn unit_error(&self) -> Option<AccelUnitError> {
+        let off = |unit: &AccelUnit| (self.median * unit.in_m_s2() / GRAVITY_M_S2 - 1.0).abs();
+        let nearest = AccelUnit::ALL.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        (self.is_steady() && off(&nearest) < UNIT_TOLERANCE)
+            .then_some(AccelUnitError { unit: nearest, norm: self.median })
+    }
 }
 
 #[cfg(test)]
@@ -357,13 +380,16 @@ mod tests {
             accel: (0..200).map(|k| Vec3::new(0.0, 1e-3 * f64::from(k % 7), 1.0) * size).collect(),
             ..ImuTrack::default()
         };
-        let unit = |size| accel_unit_error(&track(size), &[]).map(|slip| slip.unit);
+        let unit_error = |track: &ImuTrack| {
+            StaticForce::measure(track, &[]).and_then(|force| force.unit_error())
+        };
+        let unit = |size| unit_error(&track(size)).map(|slip| slip.unit);
         assert_eq!(unit(1.01), Some(AccelUnit::G));
         assert_eq!(unit(997.0), Some(AccelUnit::MilliG));
         assert_eq!(unit(983.0), Some(AccelUnit::Gal));
         assert_eq!(unit(9.7), None);
         assert_eq!(unit(0.05), None);
         let motion = (0..200).map(|k| Vec3::x() * (f64::from(k) * 0.01)).collect();
-        assert_eq!(accel_unit_error(&ImuTrack { accel: motion, ..ImuTrack::default() }, &[]), None);
+        assert_eq!(unit_error(&ImuTrack { accel: motion, ..ImuTrack::default() }), None);
     }
 }

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::MDL001;
 use crate::checks::decision::{FrameThresholds, decide};
+use crate::checks::imu::{GRAVITY_M_S2, MAX_GRAVITY_ERROR, wrong_gravity};
 use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, SubjectResult, Threshold};
 use crate::diagnosis::{GyroResidual, GyroSaturation, GyroScaleError, Measured};
@@ -40,9 +41,6 @@ pub fn judge(
 fn deviations(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
     /// Gyro residual over the arm's rate.
     const SHARE: f64 = 0.3;
-    /// Standard gravity, m/s², and the largest relative error of a healthy accelerometer's median on a
-    /// moving arm.
-    const GRAVITY: (f64, f64) = (9.81, 0.2);
     let Some(proof) = &imu.proof else {
         return Outcome::Skipped("it does not rotate with the arm".to_owned());
     };
@@ -67,12 +65,12 @@ fn deviations(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -
             Unit::GyroRate.show(by_fk)
         ));
     }
-    let (standard, share) = GRAVITY;
-    if let Some(gravity) =
-        proof.gravity_m_s2.filter(|gravity| (gravity / standard - 1.0).abs() > share)
-    {
+    // ORD008 and YAW002 report a wrong force at rest.
+    if let Some(gravity) = proof.gravity_m_s2.filter(|gravity| {
+        wrong_gravity(imu).is_none() && (gravity / GRAVITY_M_S2 - 1.0).abs() > MAX_GRAVITY_ERROR
+    }) {
         deviations.push(format!(
-            "its accelerometer measures {gravity:.2} m/s² instead of {standard} m/s²"
+            "its accelerometer measures {gravity:.2} m/s² instead of {GRAVITY_M_S2} m/s²"
         ));
     }
     if deviations.is_empty() {
