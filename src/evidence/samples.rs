@@ -127,11 +127,13 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
         .map(|joint| joint.name.clone())
         .collect();
     let strays = |(index, stream): (usize, &Stream)| {
+        // Poses computed from rows of zeros are reported with these.
+        let is_own = |found: &&Outliers| !found.are_zeros || stream.role == Role::Joints;
         let parts = with_key(&run.sample_filter.outliers, index, |strays| strays.stream);
         let found = OutlierEvidence {
             samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
-            parts: parts.to_vec(),
+            parts: parts.iter().filter(is_own).cloned().collect(),
         };
         stream_evidence(run, index, found)
     };

@@ -103,17 +103,20 @@ pub(super) fn detect_outliers(
             let clock = clocks.clock(index, piece).zip(times.get(piece));
             clock.and_then(|(clock, times)| clock.stamp_of(times, row))
         };
+        let rows_of_zeros = |piece: usize| {
+            let of_part = with_key(zeros, (index, piece), |found| (found.stream, found.piece));
+            of_part.first().map_or(&[] as &[_], |found| found.rows.as_slice())
+        };
         match &stream.columns {
             _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
             Some(Columns::Joints(joints)) => {
-                let zeros = with_key(zeros, index, |found| found.stream).first();
-                let zeros = zeros.map_or(&[] as &[_], |found| &found.rows);
-                joint_outliers(index, joints, zeros, &|row| at(0, row))
+                joint_outliers(index, joints, rows_of_zeros(0), &|row| at(0, row))
             }
             Some(columns @ (Columns::Poses(poses) | Columns::Transforms(poses))) => {
                 let is_tf = matches!(columns, Columns::Transforms(_));
                 let of = |(piece, poses)| {
-                    pose_outliers((index, piece), poses, is_tf, &|row| at(piece, row))
+                    let zeros = rows_of_zeros(piece);
+                    pose_outliers((index, piece), poses, is_tf, zeros, &|row| at(piece, row))
                 };
                 let pieces = poses.par_iter().enumerate();
                 let pieces = pieces.filter(|(piece, _)| !(is_tf && is_of_two(index, *piece)));
@@ -138,11 +141,10 @@ fn joint_outliers(
 ) -> Vec<Outliers> {
     let of = |column: &JointColumn| {
         let q = &column.position;
-        let is_known = |row: &usize| q[*row].is_finite() && zeros.binary_search(row).is_err();
-        let known: Option<Vec<usize>> = (!zeros.is_empty() || q.iter().any(|q| q.is_nan()))
-            .then(|| (0..q.len()).filter(is_known).collect());
-        let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
-        let samples = known.as_ref().map_or(q.len(), Vec::len);
+        let is_known = |row: usize| q[row].is_finite() && zeros.binary_search(&row).is_err();
+        let known = KnownRows::select(q.len(), is_known);
+        let row = |sample: usize| known.row(sample);
+        let samples = known.count;
         let distance = |a: usize, b: usize| angular_distance(q[row(b)] - q[row(a)]);
         let jumps = find_jumps(samples, &|sample| at(row(sample)), distance)?;
         let (farthest, length_m) = largest_jump(&jumps)?;
@@ -179,17 +181,45 @@ fn pose_outliers(
     part: (usize, usize),
     poses: &PoseColumns,
     transform: bool,
+    zeros: &[usize],
     at: StampOfRow,
 ) -> Option<Outliers> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
-    let samples = poses.times.len();
-    let moved = find_jumps(samples, at, |a, b| point_distance(poses.xyz[a], poses.xyz[b]))
-        .unwrap_or_default();
+    let known = KnownRows::select(poses.times.len(), |row| zeros.binary_search(&row).is_err());
+    let samples = known.count;
+    let at_sample = |sample: usize| at(known.row(sample));
+    let xyz = |sample: usize| poses.xyz[known.row(sample)];
+    let moved =
+        find_jumps(samples, &at_sample, |a: usize, b: usize| point_distance(xyz(a), xyz(b)));
     let turned = transform
-        .then(|| find_jumps(samples, at, OrientationDistance(poses)))
-        .flatten()
-        .unwrap_or_default();
+        .then(|| find_jumps(samples, &at_sample, OrientationDistance { poses, known: &known }))
+        .flatten();
+    let [moved, turned] = [moved, turned].map(|jumps| {
+        let jumps = jumps.unwrap_or_default().into_iter();
+        jumps.map(|(sample, by)| (known.row(sample), by)).collect::<Vec<_>>()
+    });
     outliers_from_jumps(part, frame, [&moved, &turned], samples, at)
+}
+
+/// Rows without those that are missing or excluded, as samples.
+struct KnownRows {
+    count: usize,
+    /// `None` of all rows.
+    rows: Option<Vec<usize>>,
+}
+
+impl KnownRows {
+    fn select(rows: usize, is_known: impl Fn(usize) -> bool) -> Self {
+        if (0..rows).all(&is_known) {
+            return Self { count: rows, rows: None };
+        }
+        let known: Vec<usize> = (0..rows).filter(|row| is_known(*row)).collect();
+        Self { count: known.len(), rows: Some(known) }
+    }
+
+    fn row(&self, sample: usize) -> usize {
+        self.rows.as_ref().map_or(sample, |rows| rows[sample])
+    }
 }
 
 /// Outliers of unnamed positions; angles may jump by a turn.
@@ -263,15 +293,20 @@ impl<F: Fn(usize, usize) -> f64> SampleDistance for F {
     }
 }
 
-struct OrientationDistance<'a>(&'a PoseColumns);
+struct OrientationDistance<'a> {
+    poses: &'a PoseColumns,
+    known: &'a KnownRows,
+}
 
 impl SampleDistance for OrientationDistance<'_> {
     fn between(&self, a: usize, b: usize) -> f64 {
-        PoseDistance::between((self.0, a), (self.0, b)).angle_rad
+        let [a, b] = [a, b].map(|sample| (self.poses, self.known.row(sample)));
+        PoseDistance::between(a, b).angle_rad
     }
 
     fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool {
-        PoseDistance::is_rotation_certainly_below(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
+        let [a, b] = [a, b].map(|sample| self.poses.q_xyzw[self.known.row(sample)]);
+        PoseDistance::is_rotation_certainly_below(a, b, limit)
     }
 }
 

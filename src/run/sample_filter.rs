@@ -8,7 +8,7 @@ use super::role::Role;
 use super::rows::Rows;
 use super::stale::{self, StaleJoints, detect_stale_joints};
 use super::streams::{Stream, StreamClocks, with_key};
-use super::zero_rows::detect_zero_rows;
+use super::zero_rows::{detect_zero_rows, poses_of_zero_rows};
 
 /// Samples excluded from estimation; each list is sorted by stream and part.
 #[derive(Debug, Default)]
@@ -32,7 +32,9 @@ impl SampleFilter {
             rows
         };
         let publishers = detect_publishers(&parts, &all_rows);
-        let zeros = detect_zero_rows(streams, clocks, &publishers);
+        let mut zeros = detect_zero_rows(streams, clocks, &publishers);
+        zeros.extend(poses_of_zero_rows(&parts, &all_rows, &zeros));
+        zeros.sort_by_key(|found| (found.stream, found.piece));
         let rows = |part: &Part<'_>| {
             let mut rows = all_rows(part);
             publishers::remove_second_publisher(&publishers, part.stream, part.piece, &mut rows);

@@ -9,7 +9,9 @@ use crate::stream::{Columns, JointColumns};
 use crate::time::Stamp;
 
 use super::outliers::{MAX_DURATION_S, Outliers};
+use super::part_series::{Part, PartValues, RowsOfPart};
 use super::pose_distance::PoseDistance;
+use super::poses::are_copied_stamps;
 use super::publishers::{self, TwoPublishers};
 use super::role::Role;
 use super::rows::Rows;
@@ -38,6 +40,51 @@ pub(super) fn detect_zero_rows(
         zero_rows(index, joints, &rows)
     };
     streams.par_iter().enumerate().filter_map(of).collect()
+}
+
+/// Rows of poses that were computed from rows of zeros: those with their stamps, in streams that copy the stamps of the joint
+/// states.
+pub(super) fn poses_of_zero_rows(
+    parts: &[Part<'_>],
+    rows: RowsOfPart<'_>,
+    zeros: &[Outliers],
+) -> Vec<Outliers> {
+    let of_joints = |zeros: &Outliers| {
+        let joints = parts.iter().find(|part| part.stream == zeros.stream)?;
+        let rows = rows(joints);
+        let stamps: Vec<Stamp> = rows.iter().map(|(stamp, _)| *stamp).collect();
+        let is_zero = |(_, row): &&(Stamp, usize)| zeros.rows.binary_search(row).is_ok();
+        let of_zeros: Vec<Stamp> = rows.iter().filter(is_zero).map(|(stamp, _)| *stamp).collect();
+        Some((stamps, of_zeros))
+    };
+    let joints: Vec<(Vec<Stamp>, Vec<Stamp>)> = zeros.iter().filter_map(of_joints).collect();
+    if joints.is_empty() {
+        return Vec::new();
+    }
+    let of_part = |part: &Part<'_>| {
+        let PartValues::Poses(_) = part.values else { return None };
+        let all = rows(part);
+        let stamps: Vec<Stamp> = all.iter().map(|(stamp, _)| *stamp).collect();
+        let (_, of_zeros) = joints.iter().find(|(of, _)| are_copied_stamps(&stamps, of))?;
+        let is_of_zeros = |(stamp, _): &&(Stamp, usize)| of_zeros.binary_search(stamp).is_ok();
+        let mut rows: Vec<usize> = all.iter().filter(is_of_zeros).map(|(_, row)| *row).collect();
+        rows.sort_unstable();
+        Some(rows_of_part(part.stream, part.piece, rows))
+    };
+    parts.par_iter().filter_map(of_part).collect()
+}
+
+fn rows_of_part(stream: usize, piece: usize, rows: Vec<usize>) -> Outliers {
+    Outliers {
+        stream,
+        frame: None,
+        joint: None,
+        are_zeros: true,
+        largest_jump: PoseDistance { length_m: 0.0, angle_rad: 0.0 },
+        largest_at: None,
+        piece,
+        rows,
+    }
 }
 
 fn known_positions(joints: &JointColumns, row: usize) -> impl Iterator<Item = f64> {
@@ -112,14 +159,9 @@ fn zero_rows(stream: usize, joints: &JointColumns, rows: &Rows) -> Option<Outlie
     // Commands of a hand or a simulation may jump to 0, between rows without any noise.
     let (length_m, at) = largest.filter(|_| is_moving)?;
     Some(Outliers {
-        stream,
-        frame: None,
-        joint: None,
-        are_zeros: true,
         largest_jump: PoseDistance { length_m, angle_rad: 0.0 },
         largest_at: Some(at),
-        piece: 0,
-        rows: found,
+        ..rows_of_part(stream, 0, found)
     })
 }
 
@@ -128,7 +170,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
-    use crate::stream::JointColumn;
+    use crate::stream::{JointColumn, PoseColumns};
 
     const NONE: [usize; 0] = [];
 
@@ -166,6 +208,21 @@ mod tests {
             let at = |t: f64| is_zero((100.0 * t).round() as usize);
             assert_eq!(detect(swing, at), rows(is_zero));
         }
+    }
+
+    #[test]
+    fn poses_with_the_stamps_of_zeros_are_excluded() {
+        let (joints, poses) = (JointColumns::default(), PoseColumns::default());
+        let part = |stream, values| {
+            let times = &joints.times;
+            Part { stream, piece: 0, frame: None, is_table: false, times, values }
+        };
+        let parts = [part(0, PartValues::Joints(&joints)), part(1, PartValues::Poses(&poses))];
+        let rows = |_: &Part<'_>| -> Rows {
+            (0..100).map(|row| (Stamp::from_nanos(1000 * row as i64), row)).collect()
+        };
+        let found = poses_of_zero_rows(&parts, &rows, &[rows_of_part(0, 0, vec![3, 50])]);
+        assert_eq!(found, [rows_of_part(1, 0, vec![3, 50])]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ rule! {
     /// One to three consecutive samples of a joint, pose or transform are at least five times as far from
     /// their neighbours as any samples nearby, and the motion then continues from its old place. No arm
     /// moves like that. In joint states, also all rows in which all joints are exactly 0 and to and from which
-    /// the joints jump, however many.
+    /// the joints jump, however many; poses that copy their stamps are excluded with them.
     ///
     /// ## Why it matters
     /// Other checks exclude these samples. Consumers do not: a controller follows the jump, a filter smears
