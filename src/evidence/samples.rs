@@ -151,7 +151,15 @@ pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<FrozenSpan>>
         if !is_asked && !times.iter().any(|found| found.is_whole_stream) {
             return None;
         }
-        Some(stream_evidence(run, index, times.to_vec()))
+        let mut found = stream_evidence(run, index, times.to_vec());
+        let only_joint = times.first().and_then(|first| first.joint);
+        let is_of_joint = times.iter().all(|found| found.joint == only_joint);
+        if let (Some(Columns::Joints(joints)), Some(joint), true) =
+            (&stream.columns, only_joint, is_of_joint)
+        {
+            found.subject.joint = joints.joints.get(joint).map(|joint| joint.name.clone());
+        }
+        Some(found)
     };
     let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
     joints.chain(run.searched_for_frozen.iter().copied()).filter_map(frozen).collect()

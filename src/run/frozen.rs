@@ -37,6 +37,8 @@ pub(super) const MAX_REST_SHARE: f64 = 0.01;
 pub struct FrozenSpan {
     /// Index of the stream.
     pub stream: usize,
+    /// Index of the only joint that is frozen.
+    pub joint: Option<usize>,
     /// First stamp with the value.
     pub start: Stamp,
     /// Last stamp with the value.
@@ -77,6 +79,7 @@ pub(super) fn remove_frozen(
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
             frozen.push(FrozenSpan {
                 stream,
+                joint: None,
                 start,
                 end,
                 samples,
@@ -187,6 +190,7 @@ impl Run {
         let found = source.frozen_at_lags(joints, lags_s);
         self.frozen.extend(found.iter().map(|&(first, last, joint_motion)| FrozenSpan {
             stream: source.stream,
+            joint: None,
             start: self.origin.shifted(source.track.t_s[first]),
             end: self.origin.shifted(source.track.t_s[last]),
             samples: last + 1 - first,

@@ -92,6 +92,7 @@ pub use role::{Role, named_encodings};
 pub(crate) use role::{is_of_camera, unnamed_poses};
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
+pub use stale::JointLeap;
 pub use segments::{Cut, Segment, segments};
 pub use shared_stream::{CandidateArm, SharedStream};
 pub use source_kind::PoseSourceKind;

@@ -6,7 +6,7 @@ use super::publishers::{self, TwoPublishers, detect_publishers};
 use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
 use super::rows::Rows;
-use super::stale::{self, StaleJoints, detect_stale_joints};
+use super::stale::{self, JointLeap, StaleJoints, detect_stale_joints};
 use super::streams::{Stream, StreamClocks, with_key};
 use super::zero_rows::{detect_zero_rows, poses_of_zero_rows};
 
@@ -21,6 +21,8 @@ pub struct SampleFilter {
     pub repeated: Vec<RepeatedValues>,
     /// Frozen joint states.
     pub(super) stale: Vec<StaleJoints>,
+    /// Jumps of several joints in one sample, which are not excluded.
+    pub leaps: Vec<JointLeap>,
 }
 
 impl SampleFilter {
@@ -48,16 +50,18 @@ impl SampleFilter {
             matches!(part.values, PartValues::Joints(_))
                 && streams[part.stream].role == Role::Joints
         });
-        let stale = joints.flat_map(|part| {
+        let (mut stale, mut leaps) = (Vec::new(), Vec::new());
+        for part in joints {
             let mut series = PartSeries::new(part, &rows);
             repeated::deduplicate(&repeated, part.stream, part.piece, &mut series.rows);
-            detect_stale_joints(&series)
-        });
-        let stale = stale.collect();
+            let (stale_joints, joint_leaps) = detect_stale_joints(&series);
+            stale.extend(stale_joints);
+            leaps.extend(joint_leaps);
+        }
         let mut outliers = detect_outliers(streams, clocks, &publishers, &zeros);
         outliers.extend(zeros);
         outliers.sort_by_key(|found| (found.stream, found.piece));
-        Self { outliers, publishers, repeated, stale }
+        Self { outliers, publishers, repeated, stale, leaps }
     }
 
     pub(super) fn apply(&self, stream: usize, piece: usize, rows: &mut Rows) {

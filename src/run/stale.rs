@@ -1,10 +1,12 @@
-//! Detects frozen joint states: a joint that stops abruptly at full speed and is elsewhere one sample
-//! later. Estimation excludes them like gaps.
+//! Detects frozen joint states, of all joints or of one: a joint that stops abruptly at full speed and is elsewhere one
+//! sample later. Estimation excludes them like gaps.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use crate::stats::median;
 use crate::stream::{JointColumn, sample_noise};
+use crate::time::Stamp;
 
 use super::frozen::FrozenSpan;
 use super::part_series::{PartSeries, PartValues};
@@ -26,6 +28,20 @@ pub(super) const MAX_ACCELERATION: f64 = 100.0;
 /// Rows on each side that show joint speeds.
 pub(super) const SPEED_ROWS: usize = 4;
 
+/// Fewer joints may jump together, such as the fingers of a gripper.
+const MIN_LEAPING_JOINTS: usize = 3;
+
+/// Several joints that jump in one sample, without being frozen before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointLeap {
+    /// Index of the stream.
+    pub stream: usize,
+    /// First stamp after the jump.
+    pub at: Stamp,
+    /// Number of joints.
+    pub joints: usize,
+}
+
 #[derive(Debug)]
 pub(super) struct StaleJoints {
     pub frozen: FrozenSpan,
@@ -38,9 +54,12 @@ pub(super) fn remove_stale_rows(stale: &[StaleJoints], stream: usize, rows: &mut
     }
 }
 
-pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoints> {
+/// Frozen joint states, and other jumps of several joints.
+pub(super) fn detect_stale_joints<'s>(
+    series: &PartSeries<'s>,
+) -> (Vec<StaleJoints>, Vec<JointLeap>) {
     let rows = &series.rows;
-    let PartValues::Joints(joints) = series.values else { return Vec::new() };
+    let PartValues::Joints(joints) = series.values else { return Default::default() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
     let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
         match is_all {
@@ -57,49 +76,63 @@ pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>) -> Vec<StaleJoint
     let mut all_jumps = jump_rows.concat();
     all_jumps.sort_unstable();
     all_jumps.dedup();
-    let (mut found, mut from) = (Vec::new(), 0);
-    for at in all_jumps {
+    let find = |at: usize, joints: Range<usize>| {
         let is_still = |other: &usize| {
-            (0..count).all(|joint| {
+            joints.clone().all(|joint| {
                 (q(*other, joint) - q(at, joint)).abs()
                     <= MAX_FROZEN_MOTION_SIGMAS * noise[joint] + 1e-9
             })
         };
-        let first = (from..at).rev().take_while(is_still).last().unwrap_or(at);
-        from = at + 1;
+        let first = (0..at).rev().take_while(is_still).last().unwrap_or(at);
         let (start, end) = (rows[first].0, rows[at].0);
         let is_long = end.seconds_since(start) >= MIN_DURATION_S && at - first >= MIN_ROWS;
         let period_s = end.seconds_since(start) / (at - first).max(1) as f64;
         let is_adjacent = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
         // A value redefined at rest also jumps, but without motion around it.
         let moves = |a: usize, b: usize| {
-            (0..count).any(|joint| {
+            joints.clone().any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
                 let jumps = jump_rows[joint].binary_search(&at).is_ok();
                 jumps && by > (10.0 * noise[joint]).max(1e-4)
             })
         };
-        let goes_on = moves(at + 1, at + SPEED_ROWS)
-            || first >= SPEED_ROWS && moves(first - SPEED_ROWS, first);
+        // One joint that stopped may also rest while others move.
+        let stopped =
+            || joints.len() == count && first >= SPEED_ROWS && moves(first - SPEED_ROWS, first);
+        let goes_on = moves(at + 1, at + SPEED_ROWS) || stopped();
         if !is_long || !is_adjacent || !goes_on {
-            continue;
+            return None;
         }
-        let moved = (0..count).map(|j| (q(at + 1, j) - q(at, j)).abs()).fold(0.0, f64::max);
-        let samples = at + 1 - first;
-        let stream = series.stream;
+        let moved = joints.clone().map(|j| (q(at + 1, j) - q(at, j)).abs()).fold(0.0, f64::max);
         let mut stale_rows: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
         stale_rows.sort_unstable();
         let frozen = FrozenSpan {
-            stream,
+            stream: series.stream,
+            joint: (joints.len() < count).then_some(joints.start),
             start,
             end,
-            samples,
+            samples: at + 1 - first,
             is_whole_stream: false,
             joint_motion: Some(moved),
         };
-        found.push(StaleJoints { frozen, rows: stale_rows });
+        Some(StaleJoints { frozen, rows: stale_rows })
+    };
+    let (mut found, mut leaps) = (Vec::new(), Vec::new());
+    for at in all_jumps {
+        if let Some(all) = find(at, 0..count) {
+            found.push(all);
+            continue;
+        }
+        let jumping = (0..count).filter(|joint| jump_rows[*joint].binary_search(&at).is_ok());
+        let jumping: Vec<usize> = jumping.collect();
+        let before = found.len();
+        found.extend(jumping.iter().filter_map(|&joint| find(at, joint..joint + 1)));
+        if found.len() == before && jumping.len() >= MIN_LEAPING_JOINTS {
+            let (stream, at) = (series.stream, rows[at + 1].0);
+            leaps.push(JointLeap { stream, at, joints: jumping.len() });
+        }
     }
-    found
+    (found, leaps)
 }
 
 /// Samples before a jump of one joint.
@@ -135,7 +168,6 @@ mod tests {
     use super::*;
     use crate::run::part_series::Part;
     use crate::stream::JointColumns;
-    use crate::time::Stamp;
 
     /// 20 s of a noisy oscillation at 100 Hz. `edit` returns when the position is taken, and an offset.
     fn swings(noise: f64, edit: impl Fn(f64) -> (f64, f64)) -> JointColumns {
@@ -152,11 +184,27 @@ mod tests {
     }
 
     fn detect(columns: &JointColumns) -> Vec<StaleJoints> {
+        detect_both(columns).0
+    }
+
+    fn detect_both(columns: &JointColumns) -> (Vec<StaleJoints>, Vec<JointLeap>) {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, PartValues::Joints(columns));
         let part = Part { stream: 0, piece: 0, frame: None, is_table: false, times, values };
         detect_stale_joints(&PartSeries { part, rows })
+    }
+
+    #[test]
+    fn joints_that_leap_to_constants_are_detected() {
+        let mut columns = swings(5e-5, |t| if t < 8.0 { (t, 0.0) } else { (5.0, 0.3) });
+        let joint = columns.joints[0].clone();
+        columns.joints.push(joint.clone());
+        assert!(detect_both(&columns).1.is_empty());
+        columns.joints.push(joint);
+        let (frozen, leaps) = detect_both(&columns);
+        assert!(frozen.is_empty(), "{}", frozen.len());
+        assert!(matches!(leaps.as_slice(), [JointLeap { joints: 3, .. }]), "{leaps:?}");
     }
 
     #[test]
@@ -173,6 +221,20 @@ mod tests {
             remove_stale_rows(&found, 0, &mut rows);
             assert!((rows.len() as i64 - 1801).abs() < 5);
         }
+    }
+
+    #[test]
+    fn one_frozen_joint_among_moving_ones_is_detected() {
+        let joint = |edit: &dyn Fn(f64) -> (f64, f64)| swings(5e-5, edit).joints.remove(0);
+        let mut columns = swings(5e-5, |t| (0.7 * t, 0.0));
+        columns.joints.push(joint(&|t| (if (5.0..6.5).contains(&t) { 5.0 } else { t }, 0.0)));
+        let found = detect(&columns);
+        let [one] = found.as_slice() else { panic!("{}", found.len()) };
+        assert_eq!(one.frozen.joint, Some(1));
+        assert!((one.frozen.samples as i64 - 150).abs() < 5, "{:?}", one.frozen);
+        // A zero that is redefined at rest.
+        columns.joints[1] = joint(&|t| (1.43, if t > 8.0 { 0.1 } else { 0.0 }));
+        assert!(detect(&columns).is_empty());
     }
 
     #[test]

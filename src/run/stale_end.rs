@@ -35,6 +35,7 @@ impl Run {
             rows.sort_unstable();
             let frozen = FrozenSpan {
                 stream,
+                joint: None,
                 start,
                 end,
                 samples: rows.len() + 1,

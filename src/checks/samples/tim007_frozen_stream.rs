@@ -12,8 +12,8 @@ rule! {
     /// For at least 0.25 s and ten samples, a pose stream repeats one pose bit for bit with new stamps,
     /// although the arm moves. The check allows for latency. At no latency within the search range do the
     /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
-    /// throughout. Joint states are frozen if they stay constant within their noise for that long and then
-    /// jump amid a motion, or stay constant to the end of the log while all pose streams that followed the arm
+    /// throughout. Joint states, or one joint, are frozen if they stay constant within their noise for that long and
+    /// then jump amid a motion, or stay constant to the end of the log while all pose streams that followed the arm
     /// in its base frame move on.
     ///
     /// ## Why it matters
@@ -33,6 +33,7 @@ rule! {
     /// - A source slower than 4 Hz in a fast stream looks the same; its stamps are then the fault.
     /// - A stream frozen until the end of the log may also be late and is not reported. The same applies
     ///   close to a rest of the arm, unless the stream's speeds determine its latency.
+    /// - One joint that does not move right after its jump may have rested while its zero changed (ZER001).
     /// - FRM001 checks transforms that do not move with the joints.
     /// - Without such a stream, joint states frozen until the end are indistinguishable from an arm at rest.
     /// - Long runs are checked in excerpts; `samples` counts those checked.
@@ -67,20 +68,26 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<FrozenSpan>>) -> SubjectResult
         2 => ", and once more".to_owned(),
         times => format!(", and {} more times", times - 1),
     };
-    let topic = stream.subject.label();
+    let (title, source) = match &stream.subject.joint {
+        Some(joint) => (
+            "a joint is frozen while it moves",
+            format!("reading of {joint} in {}", stream.topic()),
+        ),
+        None => {
+            ("stream frozen while the arm moves", format!("source of {}", stream.subject.label()))
+        }
+    };
     let outcome = Outcome::fail(Fault {
         cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Error,
-        title: "stream frozen while the arm moves",
+        title,
         message: format!(
             "frozen for {} (from {}) while the arm moved{others}; excluded from all other checks",
             Unit::Second.show(seconds(longest)),
             case.evidence.moment(longest.start),
         ),
         evidence: Evidence::default(),
-        fix: format!(
-            "check why the source of {topic} stopped then, and what repeated its last value"
-        ),
+        fix: format!("check why the {source} stopped then, and what repeated its last value"),
     });
     let times = stream.iter().take(MAX_LISTED).map(|time| {
         json!({
