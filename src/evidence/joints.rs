@@ -9,7 +9,7 @@ use crate::diagnosis::{
     speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
-use crate::run::{Arm, JointSamples, JointStateCorrection, Run, VelocitySource};
+use crate::run::{Arm, JointLeap, JointSamples, JointStateCorrection, Run, VelocitySource};
 
 /// One joint of a chain.
 #[derive(Clone, Debug)]
@@ -35,12 +35,25 @@ pub struct JointMotion {
     pub positions: Option<LimitViolation>,
     /// Full turns beyond its limits throughout the run; positive above the upper one.
     pub turns_beyond: Option<f64>,
+    /// Turn in which a joint with limits is logged.
+    pub wrapped: Option<WrappedRange>,
     /// Violation of the speed limit.
     pub speeds: Option<LimitViolation>,
+    /// Jump of several joints at the highest speed.
+    pub leap: Option<JointLeap>,
     /// Largest acceleration, if the samples allow an estimate.
     pub abruptness: Option<PeakAcceleration>,
     /// Rotates without limits, according to model or log.
     pub is_endless: bool,
+}
+
+/// Positions as logged at both sides of the jumps of a joint that is logged modulo one turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrappedRange {
+    /// Lower and upper end, rad.
+    pub ends_rad: [f64; 2],
+    /// Bare numbers of a table, which violate no convention.
+    pub is_of_table: bool,
 }
 
 /// Corrections of wrong names or units: motion cannot be judged on wrong numbers.
@@ -74,23 +87,33 @@ pub(super) fn joint_evidence(
     joint: usize,
     samples: &JointSamples<'_>,
 ) -> JointEvidence {
+    /// Half the longest window of a speed.
+    const MAX_LEAP_DISTANCE_S: f64 = 0.1;
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
     let mut motion = JointMotion::default();
     if let Some(source) = arm.joint_sources.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
-        let is_wrapped = run
-            .wrapped
-            .iter()
-            .any(|folded| folded.stream == source.stream && folded.joint == source.name);
+        let mut wrapped = run.wrapped.iter();
+        let wrapped =
+            wrapped.find(|wrapped| wrapped.stream == source.stream && wrapped.joint == source.name);
         motion.is_endless =
-            is_wrapped || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
-        // Wrapped positions cannot be compared with limits.
-        if !is_wrapped {
-            motion.positions = position_violation(t_s, position, &limits);
-            let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
-            motion.turns_beyond = if turns { turns_beyond(position, &limits) } else { None };
+            wrapped.is_some() || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
+        let is_revolute = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
+        match wrapped {
+            // The turns of unwrapped positions are unknown, so only those as logged are compared with limits.
+            Some(wrapped) => {
+                let is_of_table =
+                    run.streams.get(source.stream).is_some_and(|stream| stream.is_from_table);
+                let ends_rad = wrapped.range_rad;
+                motion.wrapped = is_revolute.then_some(WrappedRange { ends_rad, is_of_table });
+            }
+            None => {
+                motion.positions = position_violation(t_s, position, &limits);
+                motion.turns_beyond =
+                    is_revolute.then(|| turns_beyond(position, &limits)).flatten();
+            }
         }
         (motion.speeds, motion.abruptness) = match source.velocities {
             VelocitySource::Logged | VelocitySource::DerivedLoggedClose => (
@@ -104,6 +127,14 @@ pub(super) fn joint_evidence(
             }
         };
     }
+    motion.leap = motion.speeds.as_ref().and_then(|speeds| {
+        let is_there = |leap: &&JointLeap| {
+            let since_s = leap.at.seconds_since(run.origin) - speeds.at_s;
+            arm.joint_sources.iter().any(|source| source.stream == leap.stream)
+                && since_s.abs() < MAX_LEAP_DISTANCE_S
+        };
+        run.sample_filter.leaps.iter().find(is_there).copied()
+    });
     let is_prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
     JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
 }

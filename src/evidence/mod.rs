@@ -31,7 +31,7 @@ pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joint_axes::{JointAxes, Tolerance};
 pub use joint_stamps::{HiddenPauses, JointStamps, Resampling};
-pub use joints::{JointEvidence, JointMotion};
+pub use joints::{JointEvidence, JointMotion, WrappedRange};
 pub use poses::{DeclaredUnits, EulerEvidence, ImuEvidence, LateTransforms, PoseEvidence};
 pub use samples::{OutlierEvidence, RepeatedValueEvidence, UnusableSampleEvidence};
 pub(crate) use streams::frame_of_several;

@@ -27,14 +27,16 @@ pub struct WrappedJoint {
     pub stream: usize,
     /// Joint name in the log.
     pub joint: String,
+    /// Positions as logged at both sides of the jumps, rad.
+    pub range_rad: [f64; 2],
 }
 
 pub(super) fn unwrap_joints(streams: &mut [Stream]) -> Vec<WrappedJoint> {
     let of = |(index, stream): (usize, &mut Stream)| {
         let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
         let unfolded = |joint: &mut JointColumn| {
-            unwrap_column(&mut joint.position)?;
-            Some(WrappedJoint { stream: index, joint: joint.name.clone() })
+            let range_rad = unwrap_column(&mut joint.position)?;
+            Some(WrappedJoint { stream: index, joint: joint.name.clone(), range_rad })
         };
         joints.joints.iter_mut().filter_map(unfolded).collect()
     };
@@ -54,12 +56,15 @@ pub(super) fn add_remarks(streams: &mut [Stream], wrapped: &[WrappedJoint]) {
     }
 }
 
-/// Removes jumps of a turn and counts them. `None`, unchanged, without any.
-fn unwrap_column(q: &mut [f64]) -> Option<(f64, usize)> {
-    TURN_LENGTHS.into_iter().find_map(|turn| Some((turn, remove_turns(q, turn)?)))
+/// Removes jumps of a turn, and returns the positions at both sides of them, rad. `None`, unchanged, without any.
+fn unwrap_column(q: &mut [f64]) -> Option<[f64; 2]> {
+    TURN_LENGTHS.into_iter().find_map(|turn| {
+        let ends = remove_turns(q, turn)?;
+        Some(ends.map(|end| end / turn * TAU))
+    })
 }
 
-fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
+fn remove_turns(q: &mut [f64], turn: f64) -> Option<[f64; 2]> {
     // Most joints do not jump.
     if q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.5 * turn) {
         return None;
@@ -112,7 +117,7 @@ fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
         }
         q[row] += shift;
     }
-    Some(steps.len())
+    Some([low, high])
 }
 
 #[cfg(test)]
@@ -136,7 +141,8 @@ mod tests {
             wrapped[100] = f64::NAN;
             let found = unwrap_column(&mut wrapped);
             let offset = wrapped[0] - truth[0];
-            assert!(found.is_some_and(|(_, times)| times > 5), "{found:?}");
+            let [low, high] = found.expect("wraps");
+            assert!((high - seam).abs() < 0.1 && (high - low - TAU).abs() < 0.1, "{low} {high}");
             let is_near =
                 |(row, q): (usize, &f64)| row == 100 || (q - truth[row] - offset).abs() < 1e-9;
             assert!(wrapped.iter().enumerate().all(is_near), "{seam} {unit}");

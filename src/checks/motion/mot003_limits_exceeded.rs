@@ -1,8 +1,10 @@
+use std::f64::consts::TAU;
+
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{LimitViolation, NotObservable};
-use crate::evidence::{ArmEvidence, JointEvidence};
+use crate::evidence::{ArmEvidence, JointEvidence, WrappedRange};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::NotAuditedReason;
 
@@ -24,11 +26,14 @@ rule! {
     ///
     /// ## How to fix
     /// Copy the limits of the arm's own configuration into the model. If a joint counts turns, declare it
-    /// continuous, or unwind it before the driver publishes it.
+    /// continuous, or unwind it before the driver publishes it. If three or more joints leap in one sample, another node
+    /// or a restarted driver published the values from then on.
     ///
     /// ## When it misleads
     /// - A continuous joint has no position limits. A joint logged within one turn that wraps around is
-    ///   treated as continuous. Speed limits of such joints often depend on the control mode.
+    ///   treated as continuous, unless the turn is beyond its limits, such as 0 to 360° of a joint from -180° to 180°
+    ///   (`info` in a table, whose numbers declare no convention).
+    ///   Speed limits of such joints often depend on the control mode.
     /// - Speeds are the logged ones if they agree with the positions, otherwise the slope of the positions.
     ///   A single sample beyond a speed limit is ignored as an outlier.
     /// - If the motion does not distinguish the arm from others with the same joint names, which may have other
@@ -144,6 +149,13 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     if position.is_some() && is_never_set(case, arm) {
         return judged(Outcome::Inconclusive("all joint positions are 0 (FRM007)".to_owned()));
     }
+    if let Some((fault, excess)) = wrapped_beyond(joint)
+        && !zero_is_off(arm, index)
+        && arm.indistinguishable_models.is_empty()
+    {
+        let estimate = Estimate::exact("beyond position limit", Unit::Radian.symbol(), excess);
+        return judged(Outcome::fail(fault)).estimated(estimate);
+    }
     let top_speed = limits.velocity.unwrap_or(0.0);
     let slight_from =
         if motion.is_endless { MAX_ENDLESS_SPEED_EXCESS / MAX_SLIGHT_EXCESS } else { 1.0 };
@@ -163,13 +175,29 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
             arm.indistinguishable_models.join(", ")
         )));
     }
+    let (title, fix) = match motion.leap.as_ref().filter(|_| worst.what == "speed") {
+        Some(leap) => (
+            "joint states leap",
+            format!(
+                "check what published {} from {} on, where {} joints leap in one sample: defaults of another node, or a \
+                 driver that was restarted",
+                arm.joints_topic,
+                case.evidence.moment(leap.at),
+                leap.joints
+            ),
+        ),
+        None => (
+            "joint limit exceeded",
+            "compare the model's limits with the arm's own configuration".to_owned(),
+        ),
+    };
     let fault = Fault {
         cause: Cause::Pictured(Picture::Joint),
         severity: worst.severity,
-        title: "joint limit exceeded",
+        title,
         message: told.join("; "),
         evidence: Evidence::default(),
-        fix: "compare the model's limits with the arm's own configuration".to_owned(),
+        fix,
     };
     let (name, symbol) = match (worst.what, unit) {
         ("position", unit) => ("beyond position limit", unit.symbol()),
@@ -185,6 +213,29 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         judged = judged.with_evidence(exceeded.what, evidence(case, exceeded.excess));
     }
     judged
+}
+
+/// Finding on a joint that is logged modulo one turn, and its excess, if that turn is beyond the limits.
+fn wrapped_beyond(joint: &JointEvidence) -> Option<(Fault, f64)> {
+    let WrappedRange { ends_rad: [low, high], is_of_table } = joint.motion.wrapped?;
+    let (lower, upper) = joint.limits.lower.zip(joint.limits.upper)?;
+    let excess = (lower - low).max(high - upper);
+    let [low, high, lower, upper] = [low, high, lower, upper].map(|end| Unit::Radian.show(end));
+    let name = &joint.name;
+    let fault = Fault {
+        cause: Cause::Pictured(Picture::Joint),
+        severity: if is_of_table { Severity::Info } else { Severity::Warning },
+        title: "joint wraps beyond its limits",
+        message: format!(
+            "positions are logged modulo one turn, from {low} to {high}, beyond the limits of {lower} and {upper}, \
+             and jump by a turn"
+        ),
+        evidence: Evidence::default(),
+        fix: format!(
+            "publish the positions of {name} between its limits, without jumps; unwrap them in consumers of this log"
+        ),
+    };
+    (excess > MAX_SLIGHT_EXCESS * TAU).then_some((fault, excess))
 }
 
 fn is_never_set(case: &Case, arm: &ArmEvidence) -> bool {
@@ -236,6 +287,7 @@ fn evidence(case: &Case, excess: &LimitViolation) -> Value {
 mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, evaluate_rule};
+    use crate::run::JointLeap;
 
     #[test]
     fn limits_are_not_judged_for_a_joint_with_a_large_zero_offset() {
@@ -259,6 +311,30 @@ mod tests {
         assert!(findings.is_empty(), "{findings:?}");
         let why = rows.iter().find_map(|row| row.reason.as_deref()).unwrap();
         assert!(why.contains("does not distinguish") && why.contains("ur16e"), "{why}");
+    }
+
+    #[test]
+    fn joints_that_leap_together_are_of_another_source() {
+        let mut run = clean_run();
+        let at = run.origin.shifted(1.0);
+        let motion = &mut run.robots[0].joints[1].motion;
+        motion.speeds = Some(LimitViolation { limit: 2.0, value: 9.0, at_s: 1.0, seconds: 0.02 });
+        motion.leap = Some(JointLeap { stream: 0, at, joints: 3 });
+        let (_, findings) = evaluate_rule(&MOT003, &run);
+        assert_eq!(findings[0].title, "joint states leap");
+        assert!(findings[0].fix.contains("3 joints leap in one sample"), "{findings:?}");
+    }
+
+    #[test]
+    fn a_joint_that_wraps_beyond_its_limits_is_reported() {
+        for (range, is_beyond) in [([0.0, 6.28], true), ([-3.14, 3.14], false)] {
+            let mut run = clean_run();
+            let joint = &mut run.robots[0].joints[1];
+            (joint.limits.lower, joint.limits.upper) = (Some(-3.14), Some(3.14));
+            joint.motion.wrapped = Some(WrappedRange { ends_rad: range, is_of_table: false });
+            let (_, findings) = evaluate_rule(&MOT003, &run);
+            assert_eq!(findings.len(), usize::from(is_beyond), "{findings:?}");
+        }
     }
 
     #[test]
