@@ -159,6 +159,9 @@ pub fn too_uncertain(measured: &Measured, threshold: &Threshold) -> Option<Strin
     })
 }
 
+/// Begins the reason of a check that another one must resolve first.
+pub const BLOCKED: &str = "blocked: ";
+
 /// Outcome without an estimate. `settle` names the motion or topic that would make it observable.
 pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
     let why = match why {
@@ -206,7 +209,7 @@ pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
             );
         }
         NotObservable::RestsOn(what) => {
-            format!("blocked: {what} must be known first, and this log does not determine it")
+            format!("{BLOCKED}{what} must be known first, and this log does not determine it")
         }
     };
     Outcome::Inconclusive(format!("{why}; {settle}"))

@@ -3,6 +3,7 @@ use std::collections::BTreeSet;
 use serde_json::json;
 
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
+use crate::checks::latency::with_stamp_remedy;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{DelayJitter, EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, LateTransforms, StreamEvidence};
@@ -60,7 +61,8 @@ rule! {
     }
 }
 
-const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
+pub(super) const THRESHOLD: Threshold =
+    Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
 
 /// Recording that resolves an inconclusive latency.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
@@ -389,6 +391,7 @@ fn judge_stream(
         }
     });
     let judged = stream.judged(outcome).estimated(as_estimate(latency));
+    let judged = with_stamp_remedy(case, arm, judged, SETTLE);
     match stream.delays {
         Some(delays) => judged.with_evidence(
             "delays",

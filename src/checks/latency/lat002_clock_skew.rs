@@ -1,4 +1,5 @@
 use crate::checks::decision::Threshold;
+use crate::checks::latency::with_stamp_remedy;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EstimateResult, Measured};
@@ -71,7 +72,7 @@ fn judge(
     has_independent_stamps: bool,
     skew: &StreamEvidence<StreamEstimate<'_>>,
 ) -> SubjectResult {
-    let judged = SKEW.judge(&LAT002, case, arm, skew);
+    let judged = with_stamp_remedy(case, arm, SKEW.judge(&LAT002, case, arm, skew), SETTLE);
     // Rows of one clock may have been merged from streams of two. Against an arm, small rates are errors of the model.
     let is_fault = matches!(
         &judged.outcome,

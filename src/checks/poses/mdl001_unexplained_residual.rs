@@ -9,6 +9,7 @@ use crate::checks::residual_attribution::{
     Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
 };
 use crate::checks::{Case, Grade, SubjectResult};
+use crate::diagnosis::plan::Purpose;
 use crate::diagnosis::{
     ErrorMagnitude, ErrorSize, FkError, LinkDisplacement, Measured, PartError, PoseDiagnosis,
     PoseEncoding,
@@ -90,10 +91,21 @@ rule! {
     }
 }
 
+/// Motion that resolves an inconclusive row, if one does.
+pub(in crate::checks) fn resolving_motion(reason: &str) -> Option<Purpose> {
+    match () {
+        () if reason.ends_with(EVERY_JOINT_MOVES) => Some(Purpose::Calibration),
+        () if reason.ends_with(imu::SETTLE) => Some(Purpose::Yaw),
+        () => None,
+    }
+}
+
+const EVERY_JOINT_MOVES: &str = "record 10 s in which every joint moves";
+
 fn settle(subject: &Subject) -> &'static str {
     match &subject.reference {
         Some(_) => "record 10 s in which the body moves and turns",
-        None => "record 10 s in which every joint moves",
+        None => EVERY_JOINT_MOVES,
     }
 }
 
@@ -386,10 +398,9 @@ fn outcome(
         Attribution::Unexplained(residual) => {
             Outcome::fail(unexplained(case, attributed, all, residual))
         }
-        Attribution::Undetermined(residual, open) => Outcome::Inconclusive(format!(
-            "{}; {settle}",
-            undetermined_reason(case, residual, open)
-        )),
+        Attribution::Undetermined(residual, open) => {
+            Outcome::Inconclusive(undetermined_reason(case, residual, open, settle))
+        }
     }
 }
 
@@ -422,19 +433,31 @@ fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     format!("{parts}, up to {quantile}, largest near ({at}) m")
 }
 
-fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str]) -> String {
+fn undetermined_reason(
+    case: &Case,
+    residual: &ExceedingResidual,
+    open: &[&str],
+    settle: &str,
+) -> String {
     let (error_text, largest_text) = (sizes(&residual.error), describe_residual(case, residual));
     let why = match (open, residual.error.length.whole.noise) {
         ([], Some(noise)) if !residual.is_significant() => format!(
-            "no finding explains it, and it is not significantly above the noise of {}",
+            "no finding explains it, and it is not significantly above the noise of {}; reduce the noise of the \
+             poses or of their stamps, or record longer",
             Unit::Metre.show(noise.rms)
         ),
-        ([], Some(_)) => "no finding explains it".to_owned(),
+        ([], Some(_)) => format!("no finding explains it; {settle}"),
         ([], None) => {
-            "no finding explains it, and the samples are too far apart to estimate the noise"
+            "no finding explains it, and the samples are too far apart to estimate the noise; \
+             record them at a higher rate"
                 .to_owned()
         }
-        (open, _) => format!("its possible causes are undetermined: {}", open.join(", ")),
+        (open, _) => {
+            format!(
+                "its possible causes are undetermined: {}; resolve these first",
+                open.join(", ")
+            )
+        }
     };
     format!("residual {error_text}, {largest_text}; {why}")
 }

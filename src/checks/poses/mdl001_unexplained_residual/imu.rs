@@ -14,7 +14,7 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severit
 /// Also of the fraction of saturated samples. Data sheets of MEMS gyros allow a gain error of 3 %.
 pub const GAIN: Threshold = Threshold { unit: Unit::One, warning: 0.04, error: 0.1 };
 
-const SETTLE: &str = "turn the IMU through 60° about three axes";
+pub(super) const SETTLE: &str = "turn the IMU through 60° about three axes";
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
