@@ -444,10 +444,7 @@ impl InconclusiveCauses {
             if_selected(encoding, "ORD002"),
             if_selected(encoding, "ORD003"),
             if_selected(diagnosis.degrees.is_some(), "ORD004"),
-            if_selected(
-                matches!(diagnosis.length_unit, Ok(Some(_))),
-                if stream.is_undeclared { "ORD001" } else { "ORD008" },
-            ),
+            if_selected(matches!(diagnosis.length_unit, Ok(Some(_))), stream.unit_rule()),
             if_selected(matches!(diagnosis.axes, Ok(Some(_))), "ORD010"),
             if_selected(!diagnosis.constant_coordinates.is_empty(), "ORD011"),
             if_selected(

@@ -58,6 +58,13 @@ pub struct PoseEvidence {
     pub diagnosis: PoseDiagnosis,
 }
 
+impl PoseEvidence {
+    /// Rule that reports positions in another unit than metres.
+    pub fn unit_rule(&self) -> &'static str {
+        if self.is_undeclared { "ORD001" } else { "ORD008" }
+    }
+}
+
 /// Transforms that are late against the joint states, which is corrected.
 #[derive(Clone, Debug)]
 pub struct LateTransforms {

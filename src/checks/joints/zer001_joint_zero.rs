@@ -127,6 +127,13 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     judged.within(arm.span)
 }
 
+/// Whether a joint's zero changes by at least the warning threshold.
+pub(in crate::checks) fn changes_much(case: &Case, arm: &ArmEvidence, joint: usize) -> bool {
+    let threshold = case.thresholds.threshold(&ZER001, threshold(arm.joint_unit(joint)));
+    let changes = arm.diagnosis.zero_changes(joint);
+    changes.iter().any(|change| threshold.severity(change.size.value.abs()).is_some())
+}
+
 fn judge_constant(
     case: &Case,
     (arm, subject): (&ArmEvidence, Subject),

@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Vibration, VibrationFailure};
-use crate::evidence::{ArmEvidence, StreamEvidence, VibrationEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence, VibrationEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
@@ -66,9 +66,11 @@ fn judge(
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
-        false => {
-            stream.in_other_units.then(|| "its positions are not in metres (ORD008)".to_owned())
-        }
+        false => stream.in_other_units.then(|| {
+            let of_topic = |pose: &&StreamEvidence<PoseEvidence>| pose.topic() == stream.topic();
+            let code = arm.poses.iter().find(of_topic).map_or("ORD008", |pose| pose.unit_rule());
+            format!("its positions are not in metres ({code})")
+        }),
     };
     if let Some(why) = why {
         return judged(Outcome::Inconclusive(why));
@@ -132,6 +134,20 @@ mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::finding::Status;
+
+    #[test]
+    fn positions_in_another_unit_name_the_rule_that_reports_the_unit() {
+        for (is_undeclared, code) in [(false, "ORD008"), (true, "ORD001")] {
+            let mut run = clean_run();
+            let arm = &mut run.robots[0];
+            let topic = arm.poses[0].topic().to_owned();
+            arm.poses[0].is_undeclared = is_undeclared;
+            arm.vibrations[0].subject = arm.topic(&topic);
+            arm.vibrations[0].in_other_units = true;
+            let (rows, _) = evaluate_rule(&MOT001, &run);
+            assert!(rows[0].reason.as_ref().is_some_and(|why| why.contains(code)), "{:?}", rows[0]);
+        }
+    }
 
     #[test]
     fn noise_that_hides_shake_is_inconclusive() {

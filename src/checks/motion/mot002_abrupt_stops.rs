@@ -79,7 +79,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> SubjectResult {
     let subject = arm.joint(index);
     let judged = |outcome| SubjectResult::new(subject.clone(), outcome).within(arm.span);
-    if let Some(why) = doubt_of_joint(arm, index) {
+    if let Some(why) = doubt_of_joint(case, arm, index) {
         return judged(Outcome::Inconclusive(why));
     }
     let Some(found) = &joint.motion.abruptness else {

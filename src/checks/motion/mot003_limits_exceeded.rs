@@ -2,6 +2,7 @@ use std::f64::consts::TAU;
 
 use serde_json::{Value, json};
 
+use crate::checks::joints::zer001_joint_zero;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{LimitViolation, NotObservable};
 use crate::evidence::{ArmEvidence, JointEvidence, WrappedRange};
@@ -80,13 +81,18 @@ pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
 }
 
 /// The same for one joint.
-pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Option<String> {
-    let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
+pub(in crate::checks) fn doubt_of_joint(
+    case: &Case,
+    arm: &ArmEvidence,
+    joint: usize,
+) -> Option<String> {
     let mut couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     let why = if couplings.any(|coupling| coupling.column == joint) {
         "its positions contain another joint's (ORD009)"
-    } else if changes {
-        "its positions jump without motion where its zero or scale changes (ZER001, ORD009)"
+    } else if !arm.diagnosis.factor_changes(joint).is_empty() {
+        "its positions jump without motion where its scale changes (ORD009)"
+    } else if zer001_joint_zero::changes_much(case, arm, joint) {
+        "its positions jump without motion where its zero changes (ZER001)"
     } else {
         return motion_doubt(arm);
     };
@@ -130,7 +136,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     if limits.lower.or(limits.upper).or(limits.velocity).is_none() {
         return judged(Outcome::Skipped("the model has no limits for this joint".to_owned()));
     }
-    if let Some(why) = doubt_of_joint(arm, index) {
+    if let Some(why) = doubt_of_joint(case, arm, index) {
         return judged(Outcome::Inconclusive(why));
     }
     let motion = &joint.motion;
@@ -287,6 +293,7 @@ fn evidence(case: &Case, excess: &LimitViolation) -> Value {
 mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, evaluate_rule};
+    use crate::diagnosis::{Course, JointChange, JointParameter, ScalarChange};
     use crate::run::JointLeap;
 
     #[test]
@@ -298,6 +305,30 @@ mod tests {
         let lift = &mut arm.diagnosis.offsets[1];
         (lift.offset, lift.is_chosen) = (Ok(crate::checks::testing::precise(-1.2)), true);
         assert!(evaluate_rule(&MOT003, &run).1.is_empty());
+    }
+
+    #[test]
+    fn a_zero_that_changes_less_than_its_threshold_does_not_prevent_the_comparison_with_limits() {
+        let joint_changes = |size_rad: f64| {
+            let change = ScalarChange {
+                at_s: 5.0,
+                within_s: 0.1,
+                course: Course::Step,
+                from: 0.0,
+                to: size_rad,
+                size: crate::checks::testing::precise(size_rad),
+            };
+            vec![JointChange { column: 1, parameter: JointParameter::Zero, change }]
+        };
+        for (size_rad, judged) in [(5e-4, 1), (5e-2, 0)] {
+            let mut run = clean_run();
+            let arm = &mut run.robots[0];
+            arm.diagnosis.changes = joint_changes(size_rad);
+            arm.joints[1].motion.positions =
+                Some(LimitViolation { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
+            let (_, findings) = evaluate_rule(&MOT003, &run);
+            assert_eq!(findings.len(), judged, "{findings:?}");
+        }
     }
 
     #[test]
