@@ -235,6 +235,13 @@ pub struct Finding {
     pub end_ns: Option<Stamp>,
 }
 
+impl Finding {
+    /// Whether its fix is to estimate the links with `poseaudit calibrate`.
+    pub(crate) fn suggests_calibration(&self) -> bool {
+        self.fix.contains("poseaudit calibrate")
+    }
+}
+
 /// A known finding that does not count.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "Ignored")]

@@ -284,6 +284,17 @@ impl Report {
             .then(|| self.command_with("--fix corrections"))
     }
 
+    /// If a finding suggests to estimate the links: the call, with the options of this audit. `None` if the audit has
+    /// options that `calibrate` has not.
+    fn calibrate_command(&self) -> Option<String> {
+        const OF_AUDIT_ONLY: [&str; 3] = [" --corrections", " --require", " --mesh-root"];
+        let call = self.command_with("--out calibrated");
+        let options = call.strip_prefix("poseaudit audit ")?;
+        let is_shared = !OF_AUDIT_ONLY.iter().any(|option| options.contains(option));
+        (self.findings.iter().any(Finding::suggests_calibration) && is_shared)
+            .then(|| format!("poseaudit calibrate {options}"))
+    }
+
     /// Stores the command line.
     pub fn with_command_line(mut self, words: &[String]) -> Self {
         let words: Vec<String> = words.iter().map(|word| quote_for_shell(word)).collect();

@@ -41,7 +41,11 @@ pub(crate) fn plans(
     let mut plans: Vec<PlanRow> = Vec::new();
     for arm in arms_with_readable_joints(run, findings) {
         let own = evidence.robots.iter().find(|own| own.name == arm.name);
-        let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
+        let is_nominal = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
+        let needs_calibration = |finding: &Finding| {
+            finding.suggests_calibration() && finding.subject.robot.as_ref() == Some(&arm.name)
+        };
+        let is_drawing = is_nominal || findings.iter().any(needs_calibration);
         let own_witness = own.map(ArmEvidence::pose_source_kind);
         let is_its = |row: &&CheckRow| match &row.subject.robot {
             Some(robot) => *robot == arm.name,

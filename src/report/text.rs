@@ -180,6 +180,8 @@ impl<'a> TextReport<'a> {
             let explain = self.report.findings.first().map(|first| first.code).unwrap_or_default();
             out.call("explain", VERDICT_INDENT, &format!("poseaudit explain {explain}"))?;
         }
+        let calibrate = self.report.calibrate_command();
+        calibrate.iter().try_for_each(|call| out.call("calibrate", VERDICT_INDENT, call))?;
         // Other open checks can wait until the findings are corrected.
         let is_open = verdict != Verdict::Fail || !self.report.undecided().is_empty();
         if is_open && !self.report.is_verbose {
@@ -228,8 +230,38 @@ impl<'a> TextReport<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{Trouble, TroubleKind};
+    use crate::finding::{Cause, Evidence, Finding, Severity, Subject};
+    use crate::report::{LogSummary, Trouble, TroubleKind};
     use textwrap::core::display_width;
+
+    #[test]
+    fn a_report_that_suggests_calibration_prints_the_call() {
+        let mut report = Report::from_log(LogSummary::default(), Vec::new(), Vec::new());
+        let words = ["poseaudit", "audit", "my run.mcap", "--robot", "ur5e"].map(str::to_owned);
+        report = report.with_command_line(&words);
+        let text = |report: &Report| {
+            let mut out = Vec::new();
+            write(report, &mut out).expect("a text");
+            String::from_utf8(out).expect("UTF-8")
+        };
+        assert!(!text(&report).contains("poseaudit calibrate"));
+        report.findings = vec![Finding {
+            code: "MDL001",
+            severity: Severity::Info,
+            title: "nominal kinematics",
+            message: "residual 2 mm".to_owned(),
+            subject: Subject::default(),
+            cause: Cause::UnexplainedResidual,
+            segment: None,
+            estimate: None,
+            evidence: Evidence::default(),
+            fix: "estimate all links with `poseaudit calibrate LOG --out calibrated`".to_owned(),
+            start_ns: None,
+            end_ns: None,
+        }];
+        let call = "poseaudit calibrate 'my run.mcap' --robot ur5e --out calibrated\n";
+        assert!(text(&report).contains(call), "{}", text(&report));
+    }
 
     #[test]
     fn terminal_lines_fit_and_no_word_is_lost() {

@@ -11,7 +11,7 @@ use crate::finding::Outcome;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Latency of each stream relative to the joint states, and how it varies",
-    rules: &[&lat001_latency::LAT001, &lat002_clock_skew::LAT002, &lat003_unsteady_latency::LAT003],
+    rules: &[&LAT001, &lat002_clock_skew::LAT002, &lat003_unsteady_latency::LAT003],
 };
 
 /// If the stamps are known less precisely than LAT001's threshold, no motion determines the latency: replaces the advice

@@ -109,6 +109,10 @@ fn settle(subject: &Subject) -> &'static str {
     }
 }
 
+/// The text report adds the command for its log.
+const CALIBRATE: &str =
+    "estimate all links from the log with `poseaudit calibrate LOG --out calibrated`";
+
 const AS_RECORDED: &str =
     "compared with the joint states before their correction, from which it was computed";
 
@@ -504,9 +508,9 @@ fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
             more: link_m.map(|link_m| ("link_m".to_owned(), link_m.into())).into_iter().collect(),
             ..Evidence::default()
         },
-        fix: "use the arm's calibration (for a UR, calibration.yaml from the controller), or estimate it \
-            from logs with `poseaudit calibrate`"
-            .to_owned(),
+        fix: format!(
+            "use the arm's calibration (for a UR, calibration.yaml from the controller), or {CALIBRATE}"
+        ),
     }
 }
 
@@ -546,9 +550,9 @@ fn displaced_link(arm: &ArmEvidence, error: &FkError, link: &LinkDisplacement) -
             .collect(),
             ..Evidence::default()
         },
-        fix: "check that the description belongs to this arm and variant; measure the link, or estimate all links from \
-            logs with `poseaudit calibrate`"
-            .to_owned(),
+        fix: format!(
+            "check that the description belongs to this arm and variant; measure the link, or {CALIBRATE}"
+        ),
     }
 }
 
@@ -584,19 +588,29 @@ fn unexplained(
         let scatter = Unit::Second.show(jitter.scatter_s);
         format!("; it is mostly along the motion, as delays that scatter by {scatter} produce it")
     });
-    let message = format!("{said} after all other findings are corrected{varying_angle}{scatter}");
+    let message =
+        format!("{said} with the best latency, frames and joint zeros{varying_angle}{scatter}");
+    let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
+    let worst_position = residual.error.length.worst();
+    let is_of_rotations =
+        worst_position.is_some_and(|part| part.magnitude.quantile_95 < limits.length.warning);
     let fix = match &attributed.subject.reference {
-        _ if jitter.is_some() => "stamp each sample at acquisition, not when it is received",
-        None => {
-            "use the arm's calibrated description, or check that it belongs to this arm; if the error \
-             starts at some time, check what happened to the tool, the frames or the joints then"
+        _ if jitter.is_some() => "stamp each sample at acquisition, not when it is received".to_owned(),
+        _ if is_of_rotations => {
+            "positions agree, so check how the orientations are computed: interpolated or filtered component by \
+             component, not normalised, or integrated from a gyro"
+                .to_owned()
         }
+        None => format!(
+            "check that the description belongs to this arm and variant; {CALIBRATE}; if the error starts at some \
+             time, check what happened to the tool, the frames or the joints then"
+        ),
         Some(_) => {
             "look at the error over time in the HTML report: a lost track, a drift that is not even, or two bodies \
              that are not rigidly connected"
+                .to_owned()
         }
     };
-    let fix = fix.to_owned();
     Fault {
         severity: residual.severity,
         cause: Cause::UnexplainedResidual,

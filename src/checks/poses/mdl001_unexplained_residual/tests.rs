@@ -35,6 +35,17 @@ fn an_unexplained_residual_is_a_finding_above_noise_and_inconclusive_if_noise_is
 }
 
 #[test]
+fn an_unexplained_residual_suggests_calibration_unless_only_rotations_are_off() {
+    let fix = |left_m: f64, left_rad: f64| {
+        let mut run = clean_run();
+        run.robots[0].poses[0].proof = Ok(residual_check_of(left_m, left_rad));
+        evaluate_rule(&MDL001, &run).1[0].fix.clone()
+    };
+    assert!(fix(0.02, 0.0).contains("`poseaudit calibrate LOG --out "), "{}", fix(0.02, 0.0));
+    assert!(fix(1e-6, 0.2).starts_with("positions agree"), "{}", fix(1e-6, 0.2));
+}
+
+#[test]
 fn findings_explain_their_effect_and_inconclusive_causes_do_not() {
     let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(precise(0.02));
     assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
