@@ -54,6 +54,8 @@ pub struct RhythmEvidence {
     pub unusable: u64,
     /// Samples with invalid stamps.
     pub unstamped: u64,
+    /// Messages that list other poses, or none, but not this one.
+    pub omitted: u64,
     /// The topic's samples in other frames.
     pub in_other_frames: u64,
     /// Timing per sender or transform.
@@ -119,6 +121,7 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
                 .map(|clock| clock.zero)
                 .sum(),
             in_other_frames: in_other_frames.get(&rhythm.stream).copied().unwrap_or(0),
+            omitted: stream.omitted,
             // Rows of joint states are never excluded.
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),

@@ -42,6 +42,8 @@ pub struct Stream {
     pub source_kind: Option<PoseSourceKind>,
     /// Messages, or rows of one of several poses.
     pub count: u64,
+    /// For one of the poses that each message lists: messages of the log that do not contain it.
+    pub omitted: u64,
     /// Dropped ones: undecodable, wrong length, not finite, or unstamped.
     pub dropped: u64,
     /// Rate, Hz; a TF topic's most frequent transform.
@@ -130,6 +132,11 @@ impl Stream {
             6 => by_labels().or_else(by_driver),
             _ => by_labels(),
         }
+    }
+
+    /// Whether each of its messages lists poses, of which some may be absent.
+    pub fn lists_poses(&self) -> bool {
+        ["PoseArray", "PosesInFrame"].iter().any(|name| self.type_name.ends_with(name))
     }
 
     fn mark_empty(&mut self) {
@@ -257,6 +264,7 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
         link: None,
         source_kind: None,
         count: topic.messages,
+        omitted: 0,
         dropped: undecodable,
         rate_hz: None,
         expected_hz: None,
@@ -297,6 +305,12 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
         (stream.role, stream.reason) = (Role::Unassigned, "it matches no arm".to_owned());
         let mut streams: Vec<Stream> =
             poses.into_iter().map(|poses| stream.with_single_pose(poses)).collect();
+        if stream.lists_poses() {
+            let decoded = stream.count.saturating_sub(undecodable);
+            for listed in &mut streams {
+                listed.omitted = decoded.saturating_sub(listed.count + listed.dropped);
+            }
+        }
         if let Some(first) = streams.first_mut() {
             first.dropped += undecodable;
         }

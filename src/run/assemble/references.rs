@@ -67,7 +67,7 @@ impl Assembly<'_> {
                 continue;
             }
             let source = match &stream.columns {
-                Some(Columns::Poses(_)) if is_plan(stream) => {
+                Some(Columns::Poses(_)) if stream.lists_poses() => {
                     if !known_plans.insert(&stream.topic) {
                         continue;
                     }
@@ -223,8 +223,4 @@ impl Assembly<'_> {
         let last = rows.chunk_by(|a, b| a.0 == b.0).filter_map(|same| same.last());
         last.map(|&(stamp, row)| (stamp.seconds_since(self.origin), row)).collect()
     }
-}
-
-fn is_plan(stream: &Stream) -> bool {
-    ["PoseArray", "PosesInFrame"].iter().any(|name| stream.type_name.ends_with(name))
 }

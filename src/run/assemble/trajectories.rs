@@ -203,7 +203,13 @@ impl Assembly<'_> {
     /// Body that moves like the stream.
     fn trajectory(&self, candidate: &Candidate, compared: &[usize]) -> Arm {
         let StampedTrack { track, stamps } = &candidate.logged;
-        let others = compared.iter().copied().filter(|&stream| stream != candidate.stream);
+        let own = &self.streams[candidate.stream];
+        // The poses that one message lists are of several bodies.
+        let is_listed_with = |other: &Stream| own.lists_poses() && own.topic == other.topic;
+        let others = compared
+            .iter()
+            .copied()
+            .filter(|&stream| stream != candidate.stream && !is_listed_with(&self.streams[stream]));
         let SampleErrors { m, rad, stamp_s, .. } = candidate.errors;
         let why = format!(
             "the reference of the other poses, as the log has no joint states for them; noise {} and {}, stamps {}",
@@ -217,7 +223,7 @@ impl Assembly<'_> {
             others: others.collect(),
             why,
         };
-        let arm = Arm::from_trajectory(&self.streams[candidate.stream], trajectory);
+        let arm = Arm::from_trajectory(own, trajectory);
         Arm { joint_stamps: stamps.clone().into(), tree: Arc::clone(&self.tf), ..arm }
     }
 
