@@ -22,8 +22,8 @@ rule! {
     /// largest step.
     ///
     /// ## How to fix
-    /// Look for two nodes that publish on one topic, a clock that is set while recording (use a slewing NTP
-    /// client), or messages queued and sent out of order.
+    /// If the stamps go on from the earlier one, the clock was set while recording: use a slewing NTP client. Otherwise
+    /// look for messages that are queued and sent late, or two nodes that publish on one topic.
     ///
     /// ## When it misleads
     /// A transport that may reorder messages (UDP, best effort) causes small steps that receivers must
@@ -60,15 +60,22 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
         return SubjectResult::new(subject, outcome).within(rhythm.span);
     }
-    let steps = || concerned.iter().flat_map(|part| steps_back(part));
-    let Some(&(at, by_s)) = steps().max_by(|a, b| a.1.total_cmp(&b.1)) else {
+    // The transforms of one message step back together.
+    let mut steps: Vec<(Stamp, f64)> =
+        concerned.iter().flat_map(|part| steps_back(part)).copied().collect();
+    steps.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    steps.dedup();
+    let Some(&(at, by_s)) = steps.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else {
         return SubjectResult::new(subject, Outcome::pass()).within(rhythm.span);
     };
-    let listed: Vec<Value> = steps()
+    let listed: Vec<Value> = steps
+        .iter()
         .take(MAX_LISTED_STEPS)
         .map(|(at, by_s)| json!({ "at_ns": at.to_string(), "by_s": by_s }))
         .collect();
-    let (count, largest) = (steps().count(), Unit::Second.show(by_s));
+    let (count, largest) = (steps.len(), Unit::Second.show(by_s));
+    let topic = rhythm.subject.label();
+    let is_set_back = concerned.iter().all(|part| part.set_back == part.steps_back.len());
     let message = match count {
         1 => format!("stamps step back by {largest} at {}", case.evidence.moment(at)),
         _ => format!(
@@ -82,10 +89,14 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         title: "stamps run backwards",
         message,
         evidence: Evidence::default(),
-        fix: format!(
-            "check for a second publisher on {}, or a clock that is set",
-            rhythm.subject.label()
-        ),
+        fix: match is_set_back {
+            true => format!(
+                "the clock of {topic} was set back: slew it instead of setting it (chrony, PTP)"
+            ),
+            false => {
+                format!("check for messages that are sent late, or a second publisher, on {topic}")
+            }
+        },
     };
     SubjectResult::new(subject, Outcome::fail(fault))
         .within(rhythm.span)

@@ -38,7 +38,8 @@ rule! {
     /// A stream published on change is silent while the arm rests: not a gap. Without a fixed period, only
     /// sequence numbers show losses. TIM006 reports a lower rate over seconds. Commands and camera
     /// detections are not judged. A stream without an assigned role is judged only if it is periodic. Streams
-    /// with less than one sample per second are not judged: they are measurements at rest.
+    /// with less than one sample per second are not judged: they are measurements at rest. A pose that some messages of
+    /// a list (PoseArray) do not contain was not seen, not lost.
     TIM002 {
         limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
@@ -148,6 +149,14 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     }
     let missing: usize =
         concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.count).sum();
+    let skipped: usize = concerned.iter().filter_map(|part| part.skipped_numbers).sum();
+    if rhythm.omitted > 0 && missing.max(skipped) as u64 <= 2 * rhythm.omitted {
+        let why = format!(
+            "{} messages do not list it, as a tracker's that does not see the body: they were received",
+            rhythm.omitted
+        );
+        return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(rhythm.span);
+    }
     let came = rhythm.unusable + rhythm.unstamped + rhythm.in_other_frames;
     if !concerned.is_empty() && came > 0 && missing as u64 <= 2 * came {
         let why = format!(
@@ -234,8 +243,9 @@ fn lost_samples_by_period(by: &GapLimits, part: &Cadence) -> Option<usize> {
         !is_long(by, part, hole) || (hole.is_silent && !rests)
     };
     let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.count).sum();
-    // Late samples, and those with the stamp of another, are not missing.
-    part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
+    // Late samples, and old ones or ones with the stamp of another in the place of a new one, are not missing.
+    let others = part.bunched + part.conflicts + part.stale;
+    part.is_regular.then(|| missing.saturating_sub(others))
 }
 
 fn lost_share(by: &GapLimits, part: &Cadence) -> f64 {
@@ -359,7 +369,7 @@ fn determine_cause(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::as_case;
+    use crate::checks::testing::{as_case, clean_run, evaluate_rule};
     use crate::evidence::RunEvidence;
 
     const MS: i64 = 1_000_000;
@@ -407,12 +417,34 @@ mod tests {
 
     #[test]
     fn late_samples_and_slow_stretches_are_not_lost() {
-        let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
+        let late = Cadence { bunched: 4, conflicts: 1, stale: 1, ..with_hole(9, true) };
         assert_eq!(lost_samples(&default_limits(), &late), Some(2));
         let mut slow = with_hole(9, true);
         let end = Stamp::from_nanos(3000 * MS);
         slow.slow_spans.push(RateSpan { end, rate_hz: 20.0, ..slow.missing_rows[0].span });
         assert_eq!(lost_samples(&default_limits(), &slow), Some(0));
+    }
+
+    #[test]
+    fn messages_that_do_not_list_a_pose_are_not_lost() {
+        for (omitted, findings) in [(0, 1), (30, 0)] {
+            let mut run = clean_run();
+            let part = Cadence { skipped_numbers: Some(30), ..with_hole(9, true) };
+            run.rhythms = vec![run.robots[0].poses[0].with_value(RhythmEvidence {
+                due: ExpectedTiming::Always,
+                rate_hz: Some(100.0),
+                is_from_table: false,
+                declared_hz: None,
+                unusable: 0,
+                unstamped: 0,
+                omitted,
+                in_other_frames: 0,
+                parts: vec![part],
+                extent: None,
+            })];
+            let (rows, found) = evaluate_rule(&TIM002, &run);
+            assert_eq!(found.len(), findings, "{rows:?}");
+        }
     }
 
     #[test]

@@ -19,8 +19,9 @@ rule! {
     /// repeats. The estimate is the fraction of conflicts.
     ///
     /// ## How to fix
-    /// Look for two nodes that publish the same, or a driver that stamps a batch of measurements with the
-    /// read time of the buffer. Stamp every measurement. In a table, write the source's own stamp in every
+    /// If the stamp stands still, for example while the arm rests, fill it anew in every message. If the clock was set back
+    /// (TIM001), slew it. Otherwise look for two nodes that publish the same, or a driver that stamps a batch of
+    /// measurements with the read time of the buffer. Stamp every measurement. In a table, write the source's own stamp in every
     /// row.
     ///
     /// ## When it misleads
@@ -81,17 +82,64 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
             worst.conflicts, worst.rows
         ),
         evidence: Evidence::default(),
-        fix: match rhythm.is_from_table {
-            true => "write the source's own stamp in every row, and each row once".to_owned(),
-            false => format!(
-                "check for a second publisher on {}, and stamp every measurement",
-                rhythm.subject.label()
-            ),
-        },
+        fix: fix(rhythm, worst),
     };
     SubjectResult::new(subject, Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(Estimate::exact("duplicates", "1", share(worst)))
         .with_evidence("conflicts", worst.conflicts)
         .with_evidence("repeats", repeats)
+}
+
+/// By the order of the stamps: two publishers alternate, and neither holds a stamp nor repeats a series of them.
+fn fix(rhythm: &StreamEvidence<RhythmEvidence>, part: &Cadence) -> String {
+    let topic = rhythm.subject.label();
+    match () {
+        () if rhythm.is_from_table => {
+            "write the source's own stamp in every row, and each row once".to_owned()
+        }
+        () if 2 * part.held > part.conflicts => format!(
+            "stamp every message on {topic} anew: its stamp stands still while its content changes"
+        ),
+        () if part.set_back > 0 && part.set_back == part.steps_back.len() => {
+            "the clock was set back, so its stamps occur again (TIM001): slew it instead of setting it \
+             (chrony, PTP)"
+                .to_owned()
+        }
+        () => format!("check for a second publisher on {topic}, and stamp every measurement"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, evaluate_rule};
+    use crate::evidence::ExpectedTiming;
+
+    #[test]
+    fn the_fix_names_a_second_publisher_only_if_the_stamps_alternate() {
+        let back = vec![(crate::time::Stamp::from_nanos(0), 2.5)];
+        for (part, expected) in [
+            (Cadence { held: 400, ..Cadence::default() }, "its stamp stands still"),
+            (Cadence { set_back: 1, steps_back: back, ..Cadence::default() }, "slew it"),
+            (Cadence::default(), "second publisher"),
+        ] {
+            let part = Cadence { rows: 1000, conflicts: 400, has_header_stamps: true, ..part };
+            let mut run = clean_run();
+            run.rhythms = vec![run.robots[0].poses[0].with_value(RhythmEvidence {
+                due: ExpectedTiming::Always,
+                rate_hz: Some(100.0),
+                is_from_table: false,
+                declared_hz: None,
+                unusable: 0,
+                unstamped: 0,
+                omitted: 0,
+                in_other_frames: 0,
+                parts: vec![part],
+                extent: None,
+            })];
+            let (_, findings) = evaluate_rule(&TIM004, &run);
+            assert!(findings[0].fix.contains(expected), "{}", findings[0].fix);
+        }
+    }
 }

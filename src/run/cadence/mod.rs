@@ -54,10 +54,16 @@ pub struct Cadence {
     pub has_header_stamps: bool,
     /// Stamps that decrease: the previous stamp, and the decrease, s.
     pub steps_back: Vec<(Stamp, f64)>,
+    /// Of these, those after which the stamps go on from the earlier one: a clock that was set, not a late row.
+    pub set_back: usize,
     /// Rows that repeat stamp and content.
     pub repeats: usize,
+    /// Of these, rows that arrive when a new one is due: an old row was sent in its place.
+    pub stale: usize,
     /// Rows that repeat only the stamp.
     pub conflicts: usize,
+    /// Rows with the stamp of both rows before: the stamp stands still.
+    pub held: usize,
     /// Intervals with missing rows, in time order.
     pub missing_rows: Vec<MissingRows>,
     /// Rows within half a period of the previous one: late, not lost; each replaces a missing row.
@@ -260,21 +266,18 @@ impl CadencePart<'_> {
                 Clock::Header => clock.alignment.map_or(0, |alignment| alignment.offset_nanos),
                 Clock::Log | Clock::Publish => 0,
             };
-            cadence.steps_back = self.steps_back(offset);
+            (cadence.steps_back, cadence.set_back) = self.steps_back(offset, cadence.period_s);
         }
         cadence
     }
 
     fn cadence(&self, base_cadences: &Cadence) -> Cadence {
-        let (repeats, conflicts) =
-            if base_cadences.has_header_stamps { self.count_repeated() } else { (0, 0) };
-        Cadence {
+        let cadence = Cadence {
             frame: self.frame.map(str::to_owned),
             is_audited: self.is_audited,
-            repeats,
-            conflicts,
             ..base_cadences.clone()
-        }
+        };
+        if cadence.has_header_stamps { self.with_repeated(cadence) } else { cadence }
     }
 
     fn stamped_rows(&self) -> impl Iterator<Item = (usize, i64)> {
@@ -288,35 +291,51 @@ impl CadencePart<'_> {
         self.rows.iter().map_while(|row| numbers.get(row).copied()).collect()
     }
 
-    fn steps_back(&self, offset_nanos: i64) -> Vec<(Stamp, f64)> {
-        let mut steps = Vec::new();
-        let mut before: Option<i64> = None;
-        for (_, stamp) in self.stamped_rows() {
-            if let Some(before) = before.filter(|before| stamp < *before) {
-                let at = Stamp::from_nanos(before.saturating_add(offset_nanos));
-                steps.push((at, seconds(before.saturating_sub(stamp))));
-            }
-            before = Some(stamp);
+    /// Steps, and the number of those after which the stamps stay behind as long as at a steady rate.
+    fn steps_back(&self, offset_nanos: i64, period_s: Option<f64>) -> (Vec<(Stamp, f64)>, usize) {
+        /// Fewer rows may be a queue that is sent late.
+        const MIN_ROWS_BEHIND: f64 = 3.0;
+        let stamps: Vec<i64> = self.stamped_rows().map(|(_, stamp)| stamp).collect();
+        let (mut steps, mut set_back) = (Vec::new(), 0);
+        for (row, pair) in stamps.windows(2).enumerate().filter(|(_, pair)| pair[1] < pair[0]) {
+            let by_s = seconds(pair[0].saturating_sub(pair[1]));
+            steps.push((Stamp::from_nanos(pair[0].saturating_add(offset_nanos)), by_s));
+            // Half of the rows that a steady clock needs to make up for the step.
+            let due = period_s.map_or(f64::INFINITY, |period_s| (0.5 * by_s / period_s).ceil());
+            let behind = stamps[row + 1..].iter().take_while(|stamp| **stamp < pair[0]);
+            let due = due.max(MIN_ROWS_BEHIND);
+            set_back += usize::from(behind.take(due as usize).count() as f64 >= due);
         }
-        steps
+        (steps, set_back)
     }
 
-    /// Rows that repeat a stamp, with the same and with different content.
-    fn count_repeated(&self) -> (usize, usize) {
+    /// Counts rows that repeat a stamp, with the same and with different content.
+    fn with_repeated(&self, mut cadence: Cadence) -> Cadence {
+        /// Minimum time since the previous row for a row in the place of a new one, in periods.
+        const MIN_TURN_PERIODS: f64 = 0.75;
         if self.stamped_rows().is_sorted_by(|a, b| a.1 < b.1) {
-            return (0, 0);
+            return cadence;
         }
+        let turn_s = cadence.period_s.map_or(f64::INFINITY, |own| MIN_TURN_PERIODS * own);
         let mut first: HashMap<i64, usize> = HashMap::new();
-        let (mut same, mut other) = (0, 0);
+        // Stamps of the two rows before, and the receive time of the last one.
+        let (mut before, mut received) = ([None; 2], None);
         for (row, stamp) in self.stamped_rows() {
+            let now = self.times.log[row];
+            let is_in_turn = received.is_some_and(|last| seconds(now.saturating_sub(last)) > turn_s);
             match first.get(&stamp) {
-                Some(&earlier) if self.values.is_same_measurement(earlier, row) => same += 1,
-                Some(_) => other += 1,
+                Some(&earlier) if self.values.is_same_measurement(earlier, row) => {
+                    cadence.repeats += 1;
+                    cadence.stale += usize::from(is_in_turn);
+                }
+                Some(_) => cadence.conflicts += 1,
                 None => {
                     first.insert(stamp, row);
                 }
             }
+            cadence.held += usize::from(before == [Some(stamp); 2]);
+            (before, received) = ([before[1], Some(stamp)], Some(now));
         }
-        (same, other)
+        cadence
     }
 }

@@ -158,6 +158,7 @@ fn stamps_are_compared_in_receive_order() {
     let [(at, by_s)] = found.steps_back.as_slice() else { panic!("{found:?}") };
     assert_eq!(at.nanos(), (1_000_000 + 2990) * MS);
     assert!((by_s - 0.397).abs() < 1e-9, "{by_s}");
+    assert_eq!(found.set_back, 1);
     // Two swapped stamps step back by one period.
     let swapped = |row: i64| {
         let (stamp, received) = on_time(row);
@@ -166,6 +167,23 @@ fn stamps_are_compared_in_receive_order() {
     let found = cadence(&poses(swapped));
     let [(_, by_s)] = found.steps_back.as_slice() else { panic!("{found:?}") };
     assert!((by_s - 0.01).abs() < 1e-9, "{by_s}");
+    assert_eq!(found.set_back, 0);
+}
+
+#[test]
+fn a_stamp_that_stands_still_is_held_and_an_old_row_in_the_place_of_a_new_one_is_stale() {
+    let held = |row: i64| Some((10 * row.min(500), 10 * row + 1));
+    assert_eq!(cadence(&poses(held)).held, 498);
+    let resent = |row: i64| {
+        let (stamp, received) = on_time(row);
+        Some((stamp - if row % 100 == 50 { 60 } else { 0 }, received))
+    };
+    let mut columns = poses(resent);
+    if let Columns::Poses(poses) = &mut columns {
+        poses[0].xyz.update(|_| [0.0; 3]);
+    }
+    let found = cadence(&columns);
+    assert_eq!((found.held, found.stale, found.repeats, missing(&found)), (0, 10, 10, 10));
 }
 
 #[test]
