@@ -82,13 +82,23 @@ impl RankedModel {
             false => String::new(),
         };
         match self.hypothesis.cause {
-            _ if self.hypothesis.is_misinterpreted => {
-                format!("{residual} with inverted poses or joints in degrees")
+            _ if self.fault().is_some() => {
+                format!("{residual} {}", self.fault().unwrap_or_default())
             }
-            FitCause::Nothing => residual + &tool,
             FitCause::HalfTurn => format!("{residual} in a base turned by 180°{tool}"),
-            FitCause::Zero { .. } => format!("{residual} with a joint zero offset"),
-            FitCause::Reference => format!("{residual} in another frame"),
+            _ => residual + &tool,
+        }
+    }
+
+    /// The fault that it needs.
+    fn fault(&self) -> Option<&'static str> {
+        match self.hypothesis.cause {
+            _ if self.hypothesis.is_misinterpreted => {
+                Some("with inverted poses or joints in degrees")
+            }
+            FitCause::Nothing | FitCause::HalfTurn => None,
+            FitCause::Zero { .. } => Some("with a joint zero offset"),
+            FitCause::Reference => Some("in another frame"),
         }
     }
 }
@@ -147,7 +157,11 @@ impl ModelRanking {
             best.describe()
         );
         if let Some(next) = others.iter().find(|one| !is_near(one)) {
-            words += &format!("; next best {}, within {}", names[next.model], next.describe());
+            // With a fault, the residual of the sampled positions says little about the arm.
+            words += &match next.fault() {
+                Some(fault) => format!("; next best {}, but only {fault}", names[next.model]),
+                None => format!("; next best {}, within {}", names[next.model], next.describe()),
+            };
             if next.hypothesis.residual_m < best.hypothesis.residual_m {
                 words += ", which is less likely";
             }
@@ -429,6 +443,11 @@ mod tests {
         let reason = &found[0].identified_by;
         assert!(reason.contains("actual_TCP_pose fits within 20 µm"), "{reason}");
         assert!(reason.contains("next best ur3e, within 8.1 mm with a TCP of 150 mm"), "{reason}");
+        let best = standing(0, NOTHING, 2e-5, -700.0);
+        let next = standing(1, (FitCause::Reference, false), 1e-4, -300.0);
+        let reason =
+            ModelRanking { models: vec![best, next] }.describe(&["ur3", "ur3e"], "its joints");
+        assert!(reason.ends_with("; next best ur3e, but only in another frame"), "{reason}");
     }
 
     #[test]
