@@ -2,7 +2,7 @@
 
 use super::Report;
 use super::figures::{Figures, ImuFigure, PoseFigure};
-use crate::finding::{Finding, Severity, Unit};
+use crate::finding::{Cause, Finding, Severity, Unit};
 
 const CELLS: usize = 32;
 
@@ -25,16 +25,29 @@ pub(super) fn error_sparklines(report: &Report) -> Vec<String> {
     let is_blamed = |topic: &str| {
         report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
     };
-    let poses = figures
-        .poses
-        .iter()
-        .filter_map(|figure| pose_sparkline(figures, figure, MAX_REMAINING_RATIO));
+    let poses = figures.poses.iter().filter_map(|figure| {
+        let is_inferred = |found: &Finding| {
+            matches!(found.cause, Cause::InferredEncoding { .. })
+                && found.subject.topic.as_ref() == Some(&figure.topic)
+        };
+        // Nothing declares how the numbers were logged.
+        let before = match report.findings.iter().any(is_inferred) {
+            true => "in the encoding tried first",
+            false => "as logged",
+        };
+        pose_sparkline(figures, figure, MAX_REMAINING_RATIO, before)
+    });
     let imus = figures.imus.iter().filter(|imu| is_blamed(&imu.topic));
     poses.chain(imus.filter_map(|imu| imu_sparkline(figures, imu))).collect()
 }
 
 /// Distance or angle, whichever is larger at a lever arm of 1 m.
-fn pose_sparkline(figures: &Figures, figure: &PoseFigure, explained: f64) -> Option<String> {
+fn pose_sparkline(
+    figures: &Figures,
+    figure: &PoseFigure,
+    explained: f64,
+    before_text: &str,
+) -> Option<String> {
     let sizes = |metres: &[f64], radians: &[f64]| [rms(metres), rms(radians)];
     let before = sizes(&figure.before_m, &figure.before_rad);
     let after = sizes(&figure.after_m, &figure.after_rad);
@@ -54,7 +67,10 @@ fn pose_sparkline(figures: &Figures, figure: &PoseFigure, explained: f64) -> Opt
         0.0,
     )?;
     let (most, left) = (unit.show(most), unit.show(after[which]));
-    Some(format!("{bars}  {}: error up to {most} as logged, {left} rms if corrected", figure.topic))
+    Some(format!(
+        "{bars}  {}: error up to {most} {before_text}, {left} rms if corrected",
+        figure.topic
+    ))
 }
 
 fn imu_sparkline(figures: &Figures, figure: &ImuFigure) -> Option<String> {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::{Outline, list_names};
 use crate::checks;
-use crate::finding::{Alternative, Estimate, Evidence, Finding, Severity, Subject, Unit};
+use crate::finding::{Alternative, Cause, Estimate, Finding, Severity, Subject, Unit};
 
 /// Statements that a block lists.
 const MAX_LISTED: usize = 4;
@@ -128,7 +128,7 @@ impl<'a> Outline<'a> {
         let observations = observations.filter_map(|row| row.reason.as_deref());
         let notes = observations.chain(meaning).map(|note| FindingNote::new("note", note));
         let others = self.confounder_text(&evidence.indistinguishable);
-        let tested = held_out_text(evidence).map(|text| FindingNote::new("tested", text));
+        let tested = held_out_text(finding).map(|text| FindingNote::new("tested", text));
         effect
             .chain(tested)
             .chain(notes)
@@ -173,9 +173,10 @@ pub(super) fn plural_kind<'a>(subjects: impl Iterator<Item = &'a Subject> + Clon
     }
 }
 
-/// Error on samples that were not fitted, without and with the correction.
-fn held_out_text(evidence: &Evidence) -> Option<String> {
-    let residual = evidence.more.get(checks::HELD_OUT)?;
+/// Error on samples that were not fitted, without and with the correction. Numbers without a declared encoding have no
+/// error without it.
+fn held_out_text(finding: &Finding) -> Option<String> {
+    let residual = finding.evidence.more.get(checks::HELD_OUT)?;
     let shown = |of: &str| {
         let number = |unit: &str| residual[of][unit].as_f64();
         Some(format!(
@@ -184,8 +185,19 @@ fn held_out_text(evidence: &Evidence) -> Option<String> {
             Unit::Radian.show(number("rad")?)
         ))
     };
-    let (before, after) = (shown("before")?, shown("after")?);
-    Some(format!("on samples that were not fitted, the error falls from {before} to {after} rms"))
+    let after = shown("after")?;
+    let error = match finding.cause {
+        Cause::InferredEncoding { .. } => format!("is {after}"),
+        _ => {
+            let is_larger = |unit: &str| {
+                let [before, after] = ["before", "after"].map(|of| residual[of][unit].as_f64());
+                after > before
+            };
+            let verb = if is_larger("m") || is_larger("rad") { "changes" } else { "falls" };
+            format!("{verb} from {} to {after}", shown("before")?)
+        }
+    };
+    Some(format!("on samples that were not fitted, the error {error} rms"))
 }
 
 /// `, 0.6°`, or empty.
@@ -201,5 +213,43 @@ fn without_subject(finding: &Finding, text: &str) -> String {
     match finding.subject.label() {
         "" => text.to_owned(),
         label => text.replace(label, EACH),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::diagnosis::Measured;
+    use crate::finding::Evidence;
+
+    #[test]
+    fn the_error_on_held_out_samples_falls_only_if_it_is_smaller() {
+        let text = |before: f64, after: f64| {
+            let held_out = json!({
+                "before": { "m": before, "rad": 0.0 }, "after": { "m": after, "rad": 0.0 }
+            });
+            let finding = Finding {
+                code: "LAT001",
+                severity: Severity::Error,
+                title: "stream is late",
+                message: String::new(),
+                subject: Subject::default(),
+                cause: Cause::Latency(Measured { value: 0.01, std_error: 1e-5, dof: 1e3 }),
+                segment: None,
+                estimate: None,
+                evidence: Evidence {
+                    more: [(checks::HELD_OUT.to_owned(), held_out)].into_iter().collect(),
+                    ..Evidence::default()
+                },
+                fix: String::new(),
+                start_ns: None,
+                end_ns: None,
+            };
+            held_out_text(&finding).expect("a text")
+        };
+        assert!(text(2e-3, 1e-3).contains("the error falls from 2 mm"), "{}", text(2e-3, 1e-3));
+        assert!(text(1e-3, 2e-3).contains("the error changes from 1 mm"), "{}", text(1e-3, 2e-3));
     }
 }
