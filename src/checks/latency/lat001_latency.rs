@@ -36,7 +36,8 @@ rule! {
     ///
     /// ## How to fix
     /// Stamp samples at acquisition, not when they are published or received, with a single clock. A
-    /// constant latency can be corrected by shifting the stamps.
+    /// constant latency can be corrected by shifting the stamps. An early stream is a prediction or has a clock that is
+    /// ahead, or the joint states are late.
     ///
     /// ## When it misleads
     /// - A periodic motion fits several lags. An arm at rest, or a target seen only at rest (stop and go),
@@ -383,11 +384,7 @@ fn judge_stream(
                 + &tick_suffix(case, arm, stream, latency)
                 + &mean_suffix(stream),
             evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
-            fix: format!(
-                "stamp at acquisition, not at publishing; or shift {} by {}",
-                stream.topic(),
-                shift(latency)
-            ),
+            fix: stream_fix(arm, stream.topic(), latency),
         }
     });
     let judged = stream.judged(outcome).estimated(as_estimate(latency));
@@ -398,6 +395,19 @@ fn judge_stream(
             json!({ "median_s": delays.median_s.value, "mean_s": delays.mean_s.value }),
         ),
         None => judged,
+    }
+}
+
+/// Stamping at publishing makes a stream late, so an early one is ahead of its measurement, or its reference is late.
+fn stream_fix(arm: &ArmEvidence, topic: &str, latency: &Measured) -> String {
+    let shift = shift(latency);
+    match latency.value > 0.0 {
+        true => format!("stamp at acquisition, not at publishing; or shift {topic} by {shift}"),
+        false => format!(
+            "check whether {topic} is stamped before it is measured (a prediction, a clock ahead), or {} when it is \
+             published; or shift {topic} by {shift}",
+            arm.joints_topic
+        ),
     }
 }
 
@@ -522,6 +532,19 @@ mod tests {
         assert_eq!(lateness(&[(true, latency(-0.02)), (true, latency(-0.05))]), None);
         assert_eq!(lateness(&[(true, latency(0.02)), (true, latency(0.02))]), None);
         assert_eq!(lateness(&[(true, latency(-0.02)), (true, Err(NotObservable::AtRest))]), None);
+    }
+
+    #[test]
+    fn the_fix_of_an_early_stream_is_not_to_stamp_earlier() {
+        let run = clean_run();
+        let fix = |value: f64| {
+            let latency = Measured { value, std_error: 1e-5, dof: 1e3 };
+            stream_fix(&run.robots[0], "/pose", &latency)
+        };
+        assert_eq!(fix(0.02), "stamp at acquisition, not at publishing; or shift /pose by -20 ms");
+        let early = fix(-0.02);
+        assert!(early.contains("/joint_states when it is published"), "{early}");
+        assert!(early.ends_with("or shift /pose by +20 ms"), "{early}");
     }
 
     #[test]
