@@ -307,7 +307,7 @@ fn note(parts: &[AuditedSegment]) -> String {
         Some(Cut::Seam) => {
             "the joints jump within one row: another recording follows, or rows are missing"
         }
-        _ => "all stamps step back: the clock restarted",
+        _ => "all stamps start again: the clock restarted, or another recording follows",
     };
     format!("{why}. Audited in {count} segments: {lengths}")
 }

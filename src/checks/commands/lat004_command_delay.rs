@@ -194,7 +194,7 @@ fn report_group(
         fix: match is_early {
             true => "stamp commands when they are sent, and states when they are read".to_owned(),
             false => format!(
-                "reduce buffering or smoothing of {}, or allow for the delay in the control loop",
+                "reduce buffering and smoothing between {} and the drives, or allow for the delay in the control loop",
                 commands.subject.topic.as_deref().unwrap_or_default()
             ),
         },

@@ -148,7 +148,13 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, evidence: &HandEyeEvidence) -> 
                             effect_m: Some(error.translation_m.value),
                             ..Evidence::default()
                         },
-                        fix: "replace the camera's static transform with `pose`".to_owned(),
+                        fix: format!(
+                            "set the camera's static transform{} to {}",
+                            evidence
+                                .parent_of(best.mount)
+                                .map_or(String::new(), |parent| format!(" in {parent}")),
+                            show_pose(&best.camera.pose)
+                        ),
                     }),
                 };
                 (outcome, estimate)

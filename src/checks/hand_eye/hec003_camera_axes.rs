@@ -182,6 +182,15 @@ fn fault(evidence: &HandEyeEvidence, swap: &AxisSwap) -> Fault {
             ),
             "publish position and rotation of the target in one frame".to_owned(),
         ),
+        AxisSwap::Whole(seen) if evidence.axes == Some(*seen) => (
+            format!(
+                "poses have {is}, as the name of frame '{camera}' says, but its transform in the log has {read_as}"
+            ),
+            format!(
+                "correct the transform of '{camera}': an optical frame is turned by roll -90°, pitch 0°, yaw -90° \
+                 against its body frame"
+            ),
+        ),
         AxisSwap::Whole(_) => (
             format!("poses have {is}, but frame '{camera}' should have {read_as}"),
             "use the frame that matches the poses: optical is z forward, body is x forward"

@@ -178,7 +178,7 @@ fn fault(
     let is_in_positions = residual.corrected < residual.as_logged;
     let seen = match is_in_positions {
         true => format!("{before} off as logged"),
-        false => "as only the rotations show".to_owned(),
+        false => "seen in the rotations, as this joint does not move the position".to_owned(),
     };
     Fault {
         severity: Severity::Error,
@@ -192,7 +192,12 @@ fn fault(
             effect_m: is_in_positions.then_some(residual.as_logged),
             ..Evidence::default()
         },
-        fix: format!("q_true = {by} · q_reported{offset}"),
+        fix: match is_reversed {
+            true => format!(
+                "q_true = {by} · q_reported{offset}, or reverse the joint's axis in the description"
+            ),
+            false => format!("q_true = {by} · q_reported{offset}"),
+        },
     }
 }
 
@@ -280,7 +285,10 @@ mod tests {
         assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
         assert_eq!(finding.subject.topic.as_deref(), Some(JOINTS));
         assert_eq!(finding.message, "the positions have the wrong sign, 400 mm off as logged");
-        assert_eq!(finding.fix, "q_true = -1 · q_reported");
+        assert_eq!(
+            finding.fix,
+            "q_true = -1 · q_reported, or reverse the joint's axis in the description"
+        );
         assert_eq!(finding.estimate.as_ref().and_then(Estimate::value), Some(-1.0));
     }
 

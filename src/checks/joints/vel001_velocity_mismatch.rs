@@ -326,7 +326,10 @@ fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (Stri
         ),
         VelocityShape::Scaled(gain) => (
             describe_scale(arm, joint, gain),
-            fill(&format!("divide the velocities by {}", show_factor(gain))),
+            fill(&match is_same_factor(gain, -1.0) {
+                true => "reverse the sign of the velocities".to_owned(),
+                false => format!("divide the velocities by {}", show_factor(gain)),
+            }),
         ),
         VelocityShape::OfJoint(other, gain) => {
             let name = arm.joints.get(other).map_or("", |joint| joint.name.as_str());

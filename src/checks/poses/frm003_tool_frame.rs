@@ -179,10 +179,16 @@ fn fault(
             effect_m: Some(frame.translation_m.value),
             ..Evidence::default()
         },
-        fix: format!(
-            "the stream reports a TCP at {tip} + {pose}: add that frame to the model and pass it as --tip, or set the \
-             controller's TCP to zero"
-        ),
+        fix: match stream.source_kind {
+            PoseSourceKind::External => format!(
+                "the marker is at {tip} + {pose}: to compare further logs with it, add that frame to the model and pass \
+                 it as --tip"
+            ),
+            _ => format!(
+                "the stream reports a TCP at {tip} + {pose}: add that frame to the model and pass it as --tip, or set \
+                 the controller's TCP to zero"
+            ),
+        },
     }
 }
 
