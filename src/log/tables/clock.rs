@@ -836,8 +836,8 @@ impl Clock {
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
         ((own_hz / rate_hz - 1.0).abs() > MAX_RATE_DEVIATION && self.cell.is_some()).then(|| {
             format!(
-                "the metadata declares {rate_hz} frames per second, but the stamps advance at \
-                {own_hz:.4} per second"
+                "the metadata declares {} frames per second, but the stamps advance at {own_hz:.4} per second",
+                (1e4 * rate_hz).round() / 1e4
             )
         })
     }

@@ -66,6 +66,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
             for (at, mut own) in episodes.into_iter().enumerate() {
                 elements::add_shared(&mut own, &arrays);
                 let unread = std::mem::take(&mut unread);
+                let rate_hz = rate_of_scalars(&elements::scalars(&own)).or(rate_hz);
                 let tables = tables_of_arrays(own, rate_hz, unread, context)?;
                 all.extend(tables.into_iter().map(|(_, table)| ((at + 1).to_string(), table)));
             }

@@ -83,6 +83,15 @@ pub(super) fn add_shared(episode: &mut Vec<RawArray>, shared: &[RawArray]) {
     episode.extend(own);
 }
 
+/// Single numbers of an episode, by the names of their fields.
+pub(super) fn scalars(episode: &[RawArray]) -> Vec<(String, f64)> {
+    let scalar = |array: &RawArray| {
+        let field = array.name.rsplit('/').next()?.to_owned();
+        array.values().next().filter(|_| array.numbers() == 1).map(|value| (field, value))
+    };
+    episode.iter().filter_map(scalar).collect()
+}
+
 impl RawArray {
     fn numbers(&self) -> usize {
         self.sides.iter().product()

@@ -565,6 +565,61 @@ fn elements_of_matlab_are_episodes_rows_or_columns() {
     assert!((rows[18 + 3][5] - 1.035).abs() < 1e-12, "{:?}", rows[21]);
 }
 
+/// A variable of MAT-file level 5, or a field without a name.
+fn matlab_matrix(name: &str, class: u32, sides: [u32; 2], content: &[u8]) -> Vec<u8> {
+    let words =
+        |words: &[u32]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
+    let body = [
+        &matlab_element(6, &words(&[class, 0]))[..],
+        &matlab_element(5, &words(&sides)),
+        &matlab_element(1, name.as_bytes()),
+        content,
+    ];
+    matlab_element(14, &body.concat())
+}
+
+fn matlab_element(kind: u32, data: &[u8]) -> Vec<u8> {
+    let tag = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+    let mut element = [&tag, data].concat();
+    element.resize(8 + data.len().next_multiple_of(8), 0);
+    element
+}
+
+fn matlab_numbers(name: &str, sides: [u32; 2], values: &[f64]) -> Vec<u8> {
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    matlab_matrix(name, 6, sides, &matlab_element(9, &bytes))
+}
+
+#[test]
+fn a_period_of_an_episode_of_matlab_is_its_own() {
+    const ROWS: u32 = 20;
+    let demo = |dt: f64| {
+        let t: Vec<f64> = (0..ROWS).map(|row| dt * f64::from(row)).collect();
+        let q: Vec<f64> = (0..6 * ROWS).map(|at| 0.01 * f64::from(at)).collect();
+        [
+            matlab_numbers("", [1, ROWS], &t),
+            matlab_numbers("", [6, ROWS], &q),
+            matlab_numbers("", [1, 1], &[dt]),
+        ]
+        .concat()
+    };
+    let fields = b"t\0\0\0q\0\0\0dt\0\0";
+    let demos = [
+        matlab_element(5, &4_u32.to_le_bytes()),
+        matlab_element(1, fields),
+        demo(0.02),
+        demo(0.04),
+    ];
+    let mut file = b"MATLAB 5.0 MAT-file".to_vec();
+    file.resize(126, b' ');
+    file.extend(b"IM");
+    file.extend(matlab_numbers("dt", [1, 1], &[0.03]));
+    file.extend(matlab_matrix("demos", 2, [1, 2], &demos.concat()));
+    let log = plain(&file);
+    assert_eq!(joints(&log, "demos/q").1.len(), 40);
+    assert_eq!(log.contradictions, Some(Vec::new()));
+}
+
 #[test]
 fn truncated_and_changed_files_of_matlab_are_one_line_or_losses() {
     for (_, file) in ELEMENTS {
