@@ -64,7 +64,11 @@ fn option(FileLayout { file, layout }: &FileLayout, rate: &str) -> String {
     format!("--columns '{file}{layout}{rate}'")
 }
 
-/// Layouts of the tables without times, and whether their names state them. `None` if the columns are unknown as well.
+/// A longer layout does not help to write one: its columns are hardly those of one recording.
+const MAX_LAYOUT_BYTES: usize = 300;
+
+/// Layouts of the tables without times, and whether their names state them. `None` if the columns are unknown as well, or
+/// are too many to state.
 fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
     let mut log = open_at_assumed_rate(options, None)?;
     identify_columns(&mut log, &options.run);
@@ -78,7 +82,7 @@ fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
         };
         let own = FileLayout {
             file: table.file.file_name().map(|name| name.to_string_lossy().into_owned()),
-            layout: layout?,
+            layout: layout.filter(is_short)?,
         };
         if !layouts.contains(&own) {
             layouts.push(own);
@@ -91,6 +95,10 @@ fn propose_layouts(options: &Options) -> Option<(Log, Vec<FileLayout>, bool)> {
     Some((log, layouts, is_certain))
 }
 
+fn is_short(layout: &RowLayout) -> bool {
+    layout.to_string().len() <= MAX_LAYOUT_BYTES
+}
+
 /// The problem and the remedy. `None` if the columns are unknown as well.
 fn question(options: &Options, what: &str, rows: usize) -> Option<(String, String)> {
     let Some((log, layouts, is_certain)) = propose_layouts(options) else {
@@ -99,6 +107,7 @@ fn question(options: &Options, what: &str, rows: usize) -> Option<(String, Strin
     if let [layout] = layouts.as_slice()
         && log.tables.len() == 1
         && !log.topics.iter().any(|topic| matches!(topic.columns, Some(Columns::Joints(_))))
+        && !has_joints(&layout.layout)
         && count_positions(&layout.layout) == 1
     {
         return Some(without_joints(layout));
@@ -296,12 +305,13 @@ fn open_layout(log: &Log, table: usize) -> Option<RowLayout> {
 
 /// Whether `calibrate` reads the tables with these layouts.
 fn may_be_configurations(log: &Log, layouts: &[FileLayout]) -> bool {
-    let has_joints = |layout: &RowLayout| {
-        layout.items().iter().any(|item| item.meaning == Meaning::Joints && !item.is_command)
-    };
     layouts.iter().any(|own| has_joints(&own.layout))
         && layouts.iter().any(|own| count_positions(&own.layout) > 0)
         && log.files.iter().all(|file| is_read_by_calibrate(file.container))
+}
+
+fn has_joints(layout: &RowLayout) -> bool {
+    layout.items().iter().any(|item| item.meaning == Meaning::Joints && !item.is_command)
 }
 
 /// Number of measured positions that it states.
@@ -358,4 +368,23 @@ fn velocities_and_rates(joints: &JointColumns) -> impl Iterator<Item = (f64, f64
             (pair.0.is_finite() && pair.1.is_finite()).then_some(pair)
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layouts_of_many_named_positions_are_not_proposed() {
+        let layout = |positions: usize| {
+            let axis = |position: usize, axis: usize| LayoutItem {
+                arm: Some(format!("leftPositions{position}")),
+                ..LayoutItem::new(Meaning::Axis(axis), 1)
+            };
+            let items =
+                (0..positions).flat_map(|position| (0..3).map(move |at| axis(position, at)));
+            RowLayout::new(items.collect(), None).expect("a layout")
+        };
+        assert_eq!([1, 4, 40].map(|positions| is_short(&layout(positions))), [true, true, false]);
+    }
 }
