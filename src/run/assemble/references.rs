@@ -10,7 +10,6 @@ use super::super::arm::{Arm, FrameAnchor};
 use super::super::poses;
 use super::super::role::FrameKind;
 use super::super::rows::Rows;
-use super::super::streams::Stream;
 use super::assembly::Assembly;
 
 /// A stream of commands to one arm.
