@@ -227,8 +227,18 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
             return vec![SubjectResult::new(arm.subject(), Outcome::Skipped(why))];
         }
         let record = arm.arm_or_body(RECORD, "record poses of the same body from another source");
-        let why =
-            format!("nothing in this log can be compared with {}; {record}", arm.joints_topic);
+        let commanded = arm.references.iter().find(|reference| !reference.is_of_joints);
+        let commanded = commanded.map_or(String::new(), |reference| {
+            let topic = reference.topic();
+            format!(
+                " ({topic} is taken for commands, by its name: if its poses are measured, set role = \"pose\" in \
+                 [stream.\"{topic}\"] of poseaudit.toml, or leave out `cmd.` in --columns)"
+            )
+        });
+        let why = format!(
+            "nothing in this log can be compared with {}{commanded}; {record}",
+            arm.joints_topic
+        );
         return vec![
             SubjectResult::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span),
         ];

@@ -1,6 +1,8 @@
 use super::*;
 use crate::checks::evaluate;
-use crate::checks::testing::{POSE, clean_run, evaluate_rule, frame, precise, residual_check_of};
+use crate::checks::testing::{
+    COMMANDS, POSE, clean_run, evaluate_rule, frame, precise, residual_check_of,
+};
 use crate::diagnosis::{FrameEstimate, NotObservable, ResidualCheck, SampleNoise};
 use crate::finding::{CheckRow, Finding, Status};
 
@@ -102,6 +104,8 @@ fn joint_states_without_a_reference_are_inconclusive() {
     let why = rows[0].reason.as_deref().unwrap_or_default();
     assert_eq!(rows[0].status, Status::Inconclusive);
     assert!(why.contains("nothing in this log can be compared with /joint_states"), "{why}");
+    let commanded = format!("({COMMANDS} is taken for commands");
+    assert!(why.contains(&commanded), "{why}");
 }
 
 #[test]
