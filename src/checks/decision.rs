@@ -168,7 +168,9 @@ pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
         NotObservable::TooFewSamples { have, need } => {
             format!("only {have} samples overlap the joint states, {need} are needed")
         }
-        NotObservable::NoOverlap => "no overlap in time with the joint states".to_owned(),
+        NotObservable::NoOverlap => {
+            "its times do not overlap with those of the stream that it is compared with".to_owned()
+        }
         NotObservable::AtRest => "the arm barely moves".to_owned(),
         NotObservable::NeverRests => "the arm never rests".to_owned(),
         NotObservable::Periodic(lags) => {

@@ -19,7 +19,7 @@ rule! {
     ///
     /// ## Evidence
     /// `late_start_s` and `early_end_s` are relative to the median of the other streams. The estimate is
-    /// the missed time in seconds, or the rate in the slowest stretch.
+    /// the missed time in seconds, the offset of clocks with different origins, or the rate in the slowest stretch.
     ///
     /// ## How to fix
     /// Start the recorder when all drivers run and stop it before them. Check the driver's log when its
@@ -46,6 +46,8 @@ const MAX_EDGE_DIFFERENCE: Limit = Limit {
     value: 1.0,
     what: "maximum difference in start and end times of complete streams",
 };
+/// Three years: no recording is as long, so the clocks of the streams have different origins, s.
+const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
 const MIN_SLOW_INTERVAL_RATIO: Limit = Limit {
     key: "slow",
     unit: Unit::One,
@@ -154,7 +156,16 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
     let shown = |missed_s: f64| Unit::Second.show(missed_s);
-    let (title, message, estimate) = if missing_at_start_s.max(missing_at_end_s) > together_s {
+    let missed_s = missing_at_start_s.max(missing_at_end_s);
+    let is_other_epoch = missed_s > MIN_EPOCH_DIFFERENCE_S;
+    let (title, message, estimate) = if is_other_epoch {
+        let message = format!(
+            "its stamps are {} from those of the other streams, so it is not compared with them",
+            shown(missed_s)
+        );
+        let apart = Estimate::exact("clock offset", Unit::Second.symbol(), missed_s);
+        ("clocks have different origins", message, apart)
+    } else if missing_at_start_s.max(missing_at_end_s) > together_s {
         let message = match (missing_at_start_s > together_s, missing_at_end_s > together_s) {
             (true, false) => {
                 format!("begins {} after the other streams", shown(missing_at_start_s))
@@ -166,11 +177,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
                 shown(missing_at_end_s)
             ),
         };
-        let missed = Estimate::exact(
-            "time missed",
-            Unit::Second.symbol(),
-            missing_at_start_s.max(missing_at_end_s),
-        );
+        let missed = Estimate::exact("time missed", Unit::Second.symbol(), missed_s);
         ("stream is incomplete", message, missed)
     } else if let Some((period_s, stretch)) = worst {
         let (usual_hz, rate_hz) = (1.0 / period_s, stretch.rate_hz);
@@ -195,7 +202,10 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         title,
         message,
         evidence: Evidence::default(),
-        fix: format!("check the publisher of {} at that time", rhythm.subject.label()),
+        fix: match is_other_epoch {
+            true => "give the stamps of all files one origin, such as Unix time".to_owned(),
+            false => format!("check the publisher of {} at that time", rhythm.subject.label()),
+        },
     };
     SubjectResult::new(rhythm.subject_of(&slow), Outcome::fail(fault))
         .within(rhythm.span)
@@ -237,4 +247,40 @@ fn slowest_stretch<'a>(
     };
     let stretches = slow_stretches(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, evaluate_rule};
+    use crate::run::StreamExtent;
+
+    #[test]
+    fn stamps_that_are_years_apart_have_another_origin() {
+        let found = |late_start_s: f64| {
+            let mut run = clean_run();
+            run.rhythms = vec![run.robots[0].poses[0].with_value(RhythmEvidence {
+                due: ExpectedTiming::Always,
+                rate_hz: Some(50.0),
+                is_from_table: true,
+                declared_hz: None,
+                unusable: 0,
+                unstamped: 0,
+                omitted: 0,
+                in_other_frames: 0,
+                parts: vec![Cadence { is_audited: true, rows: 1000, ..Cadence::default() }],
+                extent: Some(StreamExtent {
+                    late_start_s,
+                    early_end_s: 0.0,
+                    is_arm_moving: [None; 2],
+                }),
+            })];
+            let (_, findings) = evaluate_rule(&TIM006, &run);
+            (findings[0].title, findings[0].fix.clone())
+        };
+        assert_eq!(found(3.0).0, "stream is incomplete");
+        let (title, fix) = found(1.8e9);
+        assert_eq!(title, "clocks have different origins");
+        assert!(fix.contains("one origin"), "{fix}");
+    }
 }
