@@ -24,7 +24,7 @@ rule! {
     ///
     /// - `noise`: effect of encoder resolution, noise and stamp jitter.
     /// - `rate`: rms rate of the positions.
-    /// - `kind`: `zero`, `scaled`, `other-joint`, `filtered` or `unlike`.
+    /// - `kind`: `zero`, `constant`, `scaled`, `other-joint`, `filtered` or `unlike`.
     ///   A cause is named if it explains at least 80 % of the squared velocities. `unlike`: no cause does.
     /// - `gain`: velocity at a rate of 1.
     /// - `delay_s`: delay of the velocities (negative: early), with its interval.
@@ -236,6 +236,7 @@ fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
     const MAX_RELATIVE_DIFFERENCE: f64 = 0.2;
     match (a, b) {
         (VelocityShape::Zero, VelocityShape::Zero)
+        | (VelocityShape::Constant(_), VelocityShape::Constant(_))
         | (VelocityShape::Unrelated, VelocityShape::Unrelated) => true,
         (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => is_same_factor(*a, *b),
         (VelocityShape::Filtered(a), VelocityShape::Filtered(b)) => {
@@ -320,6 +321,14 @@ fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (Stri
             format!(
                 "velocities are zero while the joint moves at {} {} rms",
                 show_rate(found.rate),
+                per_second(arm, joint)
+            ),
+            "fill the velocities from the drive, or leave the field empty".to_owned(),
+        ),
+        VelocityShape::Constant(value) => (
+            format!(
+                "velocities stay at {} {} while the joint moves",
+                show_rate(value),
                 per_second(arm, joint)
             ),
             "fill the velocities from the drive, or leave the field empty".to_owned(),
@@ -429,6 +438,7 @@ fn with_numbers(judged: SubjectResult, found: &VelocityDiagnosis) -> SubjectResu
     match found.shape {
         VelocityShape::Rates => judged,
         VelocityShape::Zero => judged.with_evidence("kind", "zero"),
+        VelocityShape::Constant(_) => judged.with_evidence("kind", "constant"),
         VelocityShape::Unrelated => judged.with_evidence("kind", "unlike"),
         VelocityShape::Scaled(gain) => {
             judged.with_evidence("kind", "scaled").with_evidence("gain", gain)

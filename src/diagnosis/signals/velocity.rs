@@ -53,6 +53,8 @@ pub enum VelocityShape {
     Rates,
     /// Zero or nearly zero.
     Zero,
+    /// One value throughout, not zero, rad/s or m/s.
+    Constant(f64),
     /// Derivatives times a factor.
     Scaled(f64),
     /// Derivatives of another joint, times a factor.
@@ -290,6 +292,12 @@ fn shape(
     let [square, rates] = [&by, moved].map(|values| mean_square(values.iter().copied()));
     if square <= by_noise {
         return VelocityShape::Zero;
+    }
+    let mut recorded = joints[index].velocity.iter().copied().filter(|own| own.is_finite());
+    if let Some(first) = recorded.next()
+        && recorded.all(|own| own == first)
+    {
+        return VelocityShape::Constant(first);
     }
     let errors = by.iter().zip(moved).map(|(by, moved)| by - moved);
     // As a share of the response's energy.

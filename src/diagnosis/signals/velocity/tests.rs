@@ -46,6 +46,7 @@ fn each_velocity_fault_is_classified_with_its_size() {
     let turned = diagnosis(0.0015, |t| -rate(0, t));
     assert!(matches!(turned.shape, VelocityShape::Scaled(by) if (by + 1.0).abs() < 0.02));
     assert_eq!(diagnosis(0.0, |_| 0.0).shape, VelocityShape::Zero);
+    assert_eq!(diagnosis(0.0, |_| 0.3).shape, VelocityShape::Constant(0.3));
     let radians = diagnosis(0.0, |t| rate(0, t).to_radians());
     let small = 1f64.to_radians();
     assert!(matches!(radians.shape, VelocityShape::Scaled(by) if (by / small - 1.0).abs() < 0.01));
