@@ -84,7 +84,15 @@ impl<'a> Outline<'a> {
             return (Vec::new(), 0);
         }
         let lines = group.findings.iter().take(MAX_LISTED);
-        let lines = lines.map(|finding| (self.subject(&finding.subject), finding.message.clone()));
+        let lines = lines.map(|finding| {
+            let label = self.subject(&finding.subject);
+            let is_alike = |other: &&&Finding| self.subject(&other.subject) == label;
+            let are_several = group.findings.iter().filter(is_alike).count() > 1;
+            let frame =
+                finding.subject.frame.as_ref().filter(|frame| are_several && **frame != label);
+            let label = frame.map_or_else(|| label.clone(), |frame| format!("{label} {frame}"));
+            (label, finding.message.clone())
+        });
         (lines.collect(), group.findings.len().saturating_sub(MAX_LISTED))
     }
 
@@ -223,6 +231,42 @@ mod tests {
     use super::*;
     use crate::diagnosis::Measured;
     use crate::finding::Evidence;
+    use crate::report::{LogSummary, Report};
+
+    fn finding(subject: Subject, message: &str, evidence: Evidence) -> Finding {
+        Finding {
+            code: "LAT001",
+            severity: Severity::Error,
+            title: "stream is late",
+            message: message.to_owned(),
+            subject,
+            cause: Cause::Latency(Measured { value: 0.01, std_error: 1e-5, dof: 1e3 }),
+            segment: None,
+            estimate: None,
+            evidence,
+            fix: String::new(),
+            start_ns: None,
+            end_ns: None,
+        }
+    }
+
+    #[test]
+    fn streams_of_one_topic_are_distinguished_by_their_frames() {
+        let of_frame = |frame: &str, message: &str| {
+            let subject = Subject {
+                topic: Some("/balls".to_owned()),
+                frame: Some(frame.to_owned()),
+                ..Subject::default()
+            };
+            finding(subject, message, Evidence::default())
+        };
+        let mut report = Report::from_log(LogSummary::default(), Vec::new(), Vec::new());
+        report.findings = vec![of_frame("[0]", "1 ms late"), of_frame("[1]", "2 ms late")];
+        let outline = Outline::new(&report);
+        let (lines, _) = outline.group_lines(&outline.finding_groups()[0]);
+        let names: Vec<&str> = lines.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["/balls [0]", "/balls [1]"]);
+    }
 
     #[test]
     fn the_error_on_held_out_samples_falls_only_if_it_is_smaller() {
@@ -230,24 +274,11 @@ mod tests {
             let held_out = json!({
                 "before": { "m": before, "rad": 0.0 }, "after": { "m": after, "rad": 0.0 }
             });
-            let finding = Finding {
-                code: "LAT001",
-                severity: Severity::Error,
-                title: "stream is late",
-                message: String::new(),
-                subject: Subject::default(),
-                cause: Cause::Latency(Measured { value: 0.01, std_error: 1e-5, dof: 1e3 }),
-                segment: None,
-                estimate: None,
-                evidence: Evidence {
-                    more: [(checks::HELD_OUT.to_owned(), held_out)].into_iter().collect(),
-                    ..Evidence::default()
-                },
-                fix: String::new(),
-                start_ns: None,
-                end_ns: None,
+            let evidence = Evidence {
+                more: [(checks::HELD_OUT.to_owned(), held_out)].into_iter().collect(),
+                ..Evidence::default()
             };
-            held_out_text(&finding).expect("a text")
+            held_out_text(&finding(Subject::default(), "", evidence)).expect("a text")
         };
         assert!(text(2e-3, 1e-3).contains("the error falls from 2 mm"), "{}", text(2e-3, 1e-3));
         assert!(text(1e-3, 2e-3).contains("the error changes from 1 mm"), "{}", text(1e-3, 2e-3));
