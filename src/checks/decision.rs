@@ -200,6 +200,12 @@ pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
                     .to_owned(),
             );
         }
+        NotObservable::NoGravity => {
+            return Outcome::Inconclusive(format!(
+                "{BLOCKED}its accelerations contain no gravity; publish the specific force, which is 9.81 m/s² \
+                 at rest (REP 145)"
+            ));
+        }
         NotObservable::NoFrame => {
             return Outcome::Skipped("no transform from the arm to the IMU in the log".to_owned());
         }

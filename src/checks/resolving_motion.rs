@@ -77,10 +77,7 @@ mod tests {
         };
         let reasons = [
             ("ORD009", "blocked: a pose of the tool must be known first; also log a pose"),
-            (
-                "YAW002",
-                "blocked: the direction of gravity must be known first; record 10 s with rests",
-            ),
+            ("YAW002", "blocked: its accelerations contain no gravity; publish the specific force"),
             (
                 "LAT001",
                 "uncertainty ±9 ms; /pose is on another clock (TIM003); synchronise the clocks",

@@ -200,6 +200,8 @@ pub enum NotObservable {
     NoOrientation,
     /// The angular velocity is zero while the arm rotates.
     NoGyro,
+    /// The accelerations have no constant part, so gravity was removed from them.
+    NoGravity,
     /// The orientation is constant while the arm rotates.
     OrientationNotSet,
     /// The log does not contain the frame's mounting.

@@ -76,7 +76,7 @@ pub(super) fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let mean = mean_vector(forces);
     let gravity = mean.norm();
     if gravity < 1.0 {
-        return Err(NotObservable::RestsOn("the direction of gravity"));
+        return Err(NotObservable::NoGravity);
     }
     let blocks = forces.chunks_exact(n / BLOCKS).take(BLOCKS);
     let off = |block: &[Vec3]| (mean_vector(block) - mean).xy().norm_squared();
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn without_gravity_there_is_no_tilt() {
-        assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(NotObservable::RestsOn(_))));
+        assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(NotObservable::NoGravity)));
         assert!(matches!(tilt(&[Vec3::z() * 9.81; 10]), Err(NotObservable::TooFewSamples { .. })));
     }
 }
