@@ -322,7 +322,8 @@ impl CadencePart<'_> {
         let (mut before, mut received) = ([None; 2], None);
         for (row, stamp) in self.stamped_rows() {
             let now = self.times.log[row];
-            let is_in_turn = received.is_some_and(|last| seconds(now.saturating_sub(last)) > turn_s);
+            let is_in_turn =
+                received.is_some_and(|last| seconds(now.saturating_sub(last)) > turn_s);
             match first.get(&stamp) {
                 Some(&earlier) if self.values.is_same_measurement(earlier, row) => {
                     cadence.repeats += 1;
