@@ -265,12 +265,12 @@ pub(crate) fn correlation_by_lag(
 }
 
 /// Longest gap to interpolate, s.
-fn max_gap_s(period_s: f64) -> f64 {
+pub(super) fn max_gap_s(period_s: f64) -> f64 {
     (20.0 * period_s).max(2.0)
 }
 
 /// Start and end of each piece without long gaps.
-fn unbroken_spans(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
+pub(super) fn unbroken_spans(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
     let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
     unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
 }
