@@ -231,8 +231,8 @@ pub fn peak_acceleration(
         if window_s <= MAX_STOP_S {
             resolved = resolved.min(least_floor);
         }
-        let accelerations = fit.along(values);
-        for (row, acceleration) in (half..).zip(accelerations.iter().map(|a| a.abs())) {
+        for (row, here) in fit.along(values) {
+            let acceleration = here.abs();
             let is_surer = |acceleration: f64, floor: f64| {
                 let surer =
                     |best: PeakAcceleration| acceleration - floor > best.acceleration - best.noise;
@@ -254,9 +254,8 @@ pub fn peak_acceleration(
             let acceleration = acceleration.min(change / (MIN_SPEED_CHANGE * window_s));
             if is_surer(acceleration, floor) {
                 // Over half a window on both sides.
-                let here = accelerations[row - half];
-                let beside = [row.checked_sub(2 * half), Some(row)].into_iter().flatten();
-                let beside = beside.filter_map(|at| accelerations.get(at));
+                let beside = [row - half, row + half];
+                let beside = beside.into_iter().filter_map(|row| fit.at(values, row));
                 let change = beside.map(|other| (other - here).abs()).fold(0.0, f64::max);
                 surest = Some(PeakAcceleration {
                     acceleration,
@@ -460,13 +459,30 @@ impl Fit {
         fit.map_or(f64::NAN, |fit| f64::from(order) * fit[width - 1] / scale.powi(order))
     }
 
-    /// Accelerations at all rows but `half` at either end.
-    fn along(&self, values: &[f64]) -> Vec<f64> {
-        let mut accelerations = vec![0.0; values.len().saturating_sub(2 * self.half)];
+    /// All rows but `half` at either end, with their accelerations.
+    fn along(&self, values: &[f64]) -> impl Iterator<Item = (usize, f64)> {
+        /// Stay in the cache while all weights are applied.
+        const BLOCK_ROWS: usize = 1024;
+        let margins = 2 * self.half;
+        let count = values.len().saturating_sub(margins);
+        (0..count).step_by(BLOCK_ROWS).flat_map(move |start| {
+            let end = count.min(start + BLOCK_ROWS);
+            (start + self.half..).zip(self.of_block(&values[start..end + margins]))
+        })
+    }
+
+    fn of_block(&self, values: &[f64]) -> Vec<f64> {
+        let mut accelerations = vec![0.0; values.len() - 2 * self.half];
         for (place, weight) in self.weights.iter().enumerate() {
-            let shifted = values.get(place..).unwrap_or_default();
-            accelerations.iter_mut().zip(shifted).for_each(|(sum, value)| *sum += weight * value);
+            let shifted = accelerations.iter_mut().zip(&values[place..]);
+            shifted.for_each(|(sum, value)| *sum += weight * value);
         }
         accelerations
+    }
+
+    /// Acceleration at a row. `None` near either end.
+    fn at(&self, values: &[f64], row: usize) -> Option<f64> {
+        let own = values.get(row.checked_sub(self.half)?..=row + self.half)?;
+        self.of_block(own).first().copied()
     }
 }
