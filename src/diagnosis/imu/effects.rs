@@ -162,12 +162,11 @@ impl Parameters {
     }
 }
 
-/// Adds effects of these kinds as long as one is likelier than the model without it, and fits each.
+/// Adds effects of these kinds to a fitted model as long as one is likelier than the model without it, and fits each.
 pub(super) fn add_likeliest_effects<M: Model>(
-    mut model: M,
+    (mut model, mut solved): (M, Solved),
     candidates: &[(Block, Shape)],
 ) -> (M, Solved) {
-    let mut solved = model.fit();
     for _ in 0..MAX_EFFECTS {
         let Some(mut extended) = with_likeliest_effect(&model, candidates) else { break };
         let wanders = extended.parameters().has_walk() && !model.parameters().has_walk();
@@ -259,9 +258,10 @@ mod tests {
             Self { errors, t_s, parameters }
         }
 
-        fn fitted(self) -> (Self, Solved) {
+        fn fitted(mut self) -> (Self, Solved) {
             let shapes = [Shape::Step, Shape::Decay, Shape::Walk].map(|shape| (Block::Yaw, shape));
-            add_likeliest_effects(self, &shapes)
+            let solved = self.fit();
+            add_likeliest_effects((self, solved), &shapes)
         }
     }
 

@@ -72,7 +72,7 @@ impl Link<'_> {
             noise: noise_of_axes(&self.stream.track.gyro).norm_squared() / 3.0,
         };
         check_sample_count(model.windows.len(), MIN_FIT_SAMPLES)?;
-        model.fit();
+        let mut solved = model.fit();
         while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;
             let windows = self.windows(window_s, &model.parameters.delay());
@@ -80,12 +80,12 @@ impl Link<'_> {
                 break;
             }
             model.windows = windows;
-            model.fit();
+            solved = model.fit();
         }
         let effects =
             [(Block::Bias, Shape::Step), (Block::Bias, Shape::Decay), (Block::Mount, Shape::Step)];
         let effects = if moves { &effects[..] } else { &effects[..2] };
-        let (mut model, mut solved) = add_likeliest_effects(model, effects);
+        let (mut model, mut solved) = add_likeliest_effects((model, solved), effects);
         if moves {
             model.rate_without_noise = model.estimate_rate_without_noise(&solved.residuals);
             for scale_columns in model.likely_scale_errors() {
@@ -106,8 +106,12 @@ impl Link<'_> {
         let relative_fk_error = self.stream.fk_error_rad / rotation_rad.max(f64::MIN_POSITIVE);
         let residual = rms(solved.residuals.iter().map(Vec3::norm));
         check_explained(rotation_rad, model.mean_rate_rad_s(), residual)?;
-        let found = parameters
-            .diagnosis(&solved, self.stream.removed_ramp, |late_s| model.latency_samples(late_s));
+        let mut found = parameters.diagnosis(&solved);
+        if self.stream.track.orientation.is_empty() {
+            // Otherwise, the orientation's profile is reported.
+            found.latency_profile = parameters
+                .latency_profile(self.stream.removed_ramp, |late_s| model.latency_samples(late_s));
+        }
         let diagnosis = ImuDiagnosis {
             link_from_imu: found.link_from_imu.filter(|_| moves),
             mount_rad: parameters.mount_rad(self.known_mount(), &solved),

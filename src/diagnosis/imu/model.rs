@@ -6,7 +6,7 @@ use super::solve::{Solved, solve};
 use super::{Delay, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE};
 use crate::latency::profile::{LatencySample, fit_profile};
 use crate::solver::linear::Linear;
-use crate::{EstimateResult, Measured, NotObservable, PiecewiseLatency};
+use crate::{EstimateResult, LatencyProfile, Measured, NotObservable, PiecewiseLatency};
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -165,29 +165,33 @@ impl Parameters {
         })
     }
 
-    /// Estimates of these parameters by the fit and the samples with an additional latency compensated. No latency at
-    /// rest.
-    pub fn diagnosis(
-        &self,
-        solved: &Solved,
-        removed_ramp: Option<&PiecewiseLatency>,
-        samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
-    ) -> ImuDiagnosis {
+    /// Estimates of these parameters by the fit. No latency at rest.
+    pub fn diagnosis(&self, solved: &Solved) -> ImuDiagnosis {
         let mut found = ImuDiagnosis {
             link_from_imu: Some(self.link_from_imu),
             mount_change: self.mount_change(solved),
             ..ImuDiagnosis::not_observable(&NotObservable::NoOrientation)
         };
         if self.moves {
-            let (logged, skew) = (samples(&|_| 0.0), self.columns[Self::SKEW].value);
-            let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
             found.latency_s = solved.measure(Self::LATENCY);
             found.skew = self.skew.clone();
-            found.latency_profile = fit_profile(&logged, 1, skew, removed_ramp, compensated);
         } else {
             found.drop_latency(&NotObservable::AtRest);
         }
         found
+    }
+
+    /// By the samples with an additional latency compensated.
+    pub fn latency_profile(
+        &self,
+        removed_ramp: Option<&PiecewiseLatency>,
+        samples: impl Fn(&dyn Fn(f64) -> f64) -> Vec<LatencySample>,
+    ) -> EstimateResult<LatencyProfile> {
+        if !self.moves {
+            return Err(NotObservable::AtRest);
+        }
+        let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
+        fit_profile(&samples(&|_| 0.0), 1, self.columns[Self::SKEW].value, removed_ramp, compensated)
     }
 
     /// Adds a step of the `free` parameters.

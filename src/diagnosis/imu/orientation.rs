@@ -47,8 +47,9 @@ impl Link<'_> {
         moves: bool,
         gyro: Option<&GyroFit>,
     ) -> EstimateResult<ImuDiagnosis> {
-        let (mut encoding, model) = self.orientation_model(start, moves, gyro)?;
-        let (model, solved) = add_likeliest_effects(model, &EFFECTS);
+        let (mut encoding, mut model) = self.orientation_model(start, moves, gyro)?;
+        let solved = model.fit();
+        let (model, solved) = add_likeliest_effects((model, solved), &EFFECTS);
         if let Some(side_s) = model.longer_side_s() {
             // A slip makes every encoding fit badly: determine it again on one side.
             let estimated = self.estimate_encoding_near(&model.parameters.delay(), gyro, side_s);
@@ -56,7 +57,7 @@ impl Link<'_> {
         }
         let parameters = &model.parameters;
         self.check_rotation_explained(&parameters.delay(), &solved.residuals)?;
-        let found = parameters.diagnosis(&solved, self.stream.removed_ramp, |late_s| {
+        let latency_profile = parameters.latency_profile(self.stream.removed_ramp, |late_s| {
             model.latency_samples(&solved, late_s)
         });
         let (yaw_error, headings) = model.yaw_error();
@@ -67,7 +68,8 @@ impl Link<'_> {
             yaw_error,
             headings,
             mount_rad: model.mount_rad,
-            ..found
+            latency_profile,
+            ..parameters.diagnosis(&solved)
         })
     }
 
