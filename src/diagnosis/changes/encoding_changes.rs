@@ -59,20 +59,18 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
     arm: &ArmRun,
     diagnose: impl Fn(&ArmRun) -> ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let lags = vec![0.0; arm.streams.len()];
-    let run = SplitRun { arm: *arm, lags: &lags };
     // `None` if the motion determines it for no stream.
-    let all_follow = |span: &Span| {
-        run.within(*span, |part| {
-            let streams = part.streams.iter();
-            let known = streams.filter_map(|stream| follows_as_logged(part.joints, stream));
-            known.reduce(|all, one| all && one)
-        })
+    let all_follow = |part: &ArmRun| {
+        let streams = part.streams.iter();
+        let known = streams.filter_map(|stream| follows_as_logged(part.joints, stream));
+        known.reduce(|all, one| all && one)
     };
     // Then each segment follows, even if its own motion does not determine the frames.
-    if all_follow(&(f64::NEG_INFINITY, f64::INFINITY)) == Some(true) {
+    if all_follow(arm) == Some(true) {
         return None;
     }
+    let lags = vec![0.0; arm.streams.len()];
+    let run = SplitRun { arm: *arm, lags: &lags };
     let as_logged = LazyCell::new(|| arm.diagnose_as_logged());
     let is_explained = |after: &ArmDiagnosis| {
         constant_frames_suffice(after) || !after.streams.iter().any(has_slow_residual)
@@ -80,7 +78,8 @@ pub(crate) fn diagnose_with_recorded_encoding_changes(
     let mut attempts = vec![run.recorded_gaps(), run.recorded_jumps()];
     attempts.dedup_by_key(|jumps| run.split_at(jumps));
     attempts.into_iter().find_map(|jumps| {
-        let parts: Vec<Option<bool>> = run.split_at(&jumps).iter().map(all_follow).collect();
+        let parts: Vec<Option<bool>> =
+            run.split_at(&jumps).into_iter().map(|span| run.within(span, all_follow)).collect();
         if parts.len() < 2 || !parts.contains(&Some(true)) {
             return None;
         }
