@@ -21,7 +21,7 @@ pub(crate) fn is_text(bytes: &[u8]) -> bool {
 /// Bytes in no known encoding are taken for Windows-1252: names stay distinct, and numbers are ASCII.
 pub(crate) fn to_utf8(bytes: &[u8]) -> Cow<'_, [u8]> {
     let text = decoded(bytes);
-    match text.contains(&b'\r') && !text.contains(&b'\n') {
+    match !text.contains(&b'\n') && text.contains(&b'\r') {
         true => text.iter().map(|byte| if *byte == b'\r' { b'\n' } else { *byte }).collect(),
         false => text,
     }

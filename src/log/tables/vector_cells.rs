@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use memchr::memchr_iter;
+use memchr::{memchr, memchr_iter, memmem};
 
 use super::csv::{cells, comment, lines, mark_length};
 use super::{MAX_COLUMNS, MAX_WIDTH};
@@ -17,6 +17,7 @@ const MIN_NUMBERS: usize = 3;
 /// The text with the lists in quotation marks that span several lines each in one line, followed by blank lines so that
 /// the other lines keep their numbers. `None` without such lists.
 pub(super) fn join_lines(bytes: &[u8]) -> Option<Vec<u8>> {
+    memchr(b'"', bytes)?;
     let starts_list = |line: &[u8]| {
         let mark = line.iter().rposition(|byte| *byte == b'"');
         mark.is_some_and(|at| {
@@ -146,19 +147,19 @@ pub(super) fn without_brackets(bytes: &[u8]) -> Option<Vec<u8>> {
 /// The text with `0.1` for `np.float64(0.1)`, as numpy 2 prints numbers in lists. `None` without such numbers.
 pub(super) fn without_numpy_scalars(bytes: &[u8]) -> Option<Vec<u8>> {
     const PREFIX: &[u8] = b"np.float";
+    memmem::find(bytes, PREFIX)?;
     let mut plain = Vec::with_capacity(bytes.len());
     let mut rest = bytes;
-    while let Some(at) = memchr::memmem::find(rest, PREFIX) {
+    while let Some(at) = memmem::find(rest, PREFIX) {
         let number = &rest[at + PREFIX.len()..];
         let bits = number.iter().take_while(|byte| byte.is_ascii_digit()).count();
-        let end = memchr::memchr(b')', number).filter(|_| number.get(bits) == Some(&b'('))?;
+        let end = memchr(b')', number).filter(|_| number.get(bits) == Some(&b'('))?;
         plain.extend_from_slice(&rest[..at]);
         plain.extend_from_slice(&number[bits + 1..end]);
         rest = &number[end + 1..];
     }
-    let is_changed = rest.len() < bytes.len();
     plain.extend_from_slice(rest);
-    is_changed.then_some(plain)
+    Some(plain)
 }
 
 /// Columns of a text with lists.
