@@ -162,24 +162,24 @@ impl RestoredStamps {
         }
         let t_s = seconds_from(raw, first);
         let grid = TickGrid::detect_with_min_tick(&t_s, MIN_TICK_S)?;
-        let repeats = repeats(values, raw.len());
-        let (mut shared, mut sent_again) = (0, 0);
-        for (ticks, repeats) in grid.ticks.iter().zip(&repeats) {
-            if *ticks == 0 {
-                shared += 1;
-                sent_again += usize::from(*repeats);
-            }
+        let is_even = grid.is_of_one_even_sender();
+        let shared = grid.ticks.iter().filter(|ticks| **ticks == 0).count();
+        let share = shared as f64 / raw.len() as f64;
+        if share <= MIN_SHARED_SHARE && !is_even {
+            return None;
         }
+        let repeats = repeats(values, raw.len());
+        let sent_again = grid.ticks.iter().zip(&repeats);
+        let sent_again = sent_again.filter(|(ticks, repeats)| **ticks == 0 && **repeats).count();
         // Resting arms also repeat: rows with a shared stamp may do so as often as others.
         let rest = repeats.iter().filter(|repeats| **repeats).count() - sent_again;
         let usual = rest as f64 / (repeats.len() - shared).max(1) as f64;
         let are_sent_again = sent_again as f64 > 0.5 * shared as f64 * (1.0 + usual);
-        let share = shared as f64 / raw.len() as f64;
         // Expected share of shared stamps for a sender faster than the tick.
         let period_s = t_s[t_s.len() - 1] / (t_s.len() - 1) as f64;
         let expected = 1.0 - period_s / grid.tick_s;
         let are_shared = share > MIN_SHARED_SHARE && share < 1.5 * expected && !are_sent_again;
-        if !(are_shared || grid.is_of_one_even_sender()) {
+        if !(are_shared || is_even) {
             return None;
         }
         let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);

@@ -1,5 +1,6 @@
 //! Detects stamps that are multiples of a tick, such as 15.6 ms on some Windows machines.
 
+use crate::stats::median;
 use crate::time::{NANOS_PER_SECOND, seconds};
 
 /// Minimum tick, s.
@@ -28,28 +29,27 @@ impl TickGrid {
         /// Maximum ticks in the shortest interval.
         const MAX_SHORTEST_TICKS: u32 = 4;
         const ROUNDING_S: f64 = 2e-5;
-        let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > least_s).collect();
-        some.sort_unstable_by(f64::total_cmp);
-        if intervals.len() < MIN_INTERVALS {
+        let intervals = || t_s.windows(2).map(|pair| pair[1] - pair[0]);
+        let count = intervals().len();
+        let mut some: Vec<f64> = intervals().filter(|dt| *dt > least_s).collect();
+        if count < MIN_INTERVALS || some.is_empty() {
             return None;
         }
-        let shortest_s = *some.get(some.len() / 50)?;
+        let at = some.len() / 50;
+        let shortest_s = *some.select_nth_unstable_by(at, f64::total_cmp).1;
+        drop(some);
         (1..=MAX_SHORTEST_TICKS).find_map(|parts| {
             let rough_s = shortest_s / f64::from(parts);
-            let short = some.iter().filter(|dt| **dt < shortest_s + 0.5 * rough_s);
-            let (sum_s, count) = short.fold((0.0, 0), |(sum_s, count), dt| (sum_s + dt, count + 1));
-            let tick_s = sum_s / f64::from(count) / f64::from(parts);
+            let short = intervals().filter(|dt| *dt > least_s && *dt < shortest_s + 0.5 * rough_s);
+            let (sum_s, count_short) =
+                short.fold((0.0, 0), |(sum_s, count), dt| (sum_s + dt, count + 1));
+            let tick_s = sum_s / f64::from(count_short) / f64::from(parts);
             let ticks = |dt: f64| (dt / tick_s).round();
             let is_multiple =
-                |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
-            let fit = || intervals.iter().filter(is_multiple).count() as f64;
-            let is_one =
-                tick_s >= least_s && fit() >= MIN_WHOLE_TICK_SHARE * intervals.len() as f64;
-            is_one.then(|| Self {
-                tick_s,
-                ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),
-            })
+                |dt: &f64| (*dt - ticks(*dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
+            let fit = || intervals().filter(is_multiple).count() as f64;
+            let is_one = tick_s >= least_s && fit() >= MIN_WHOLE_TICK_SHARE * count as f64;
+            is_one.then(|| Self { tick_s, ticks: intervals().map(|dt| ticks(dt) as u32).collect() })
         })
     }
 
@@ -89,18 +89,18 @@ impl TickGrid {
         /// Maximum excess of the others, ticks.
         const MAX_OTHER_EXCESS_TICKS: f64 = 0.1;
         const MIN_LONG_INTERVALS: usize = 5;
-        let mut sorted = self.ticks.clone();
-        sorted.sort_unstable();
-        let usual = sorted[sorted.len() / 2];
+        let (mut ticks, middle) = (self.ticks.clone(), self.ticks.len() / 2);
+        let usual = *ticks.select_nth_unstable(middle).1;
+        drop(ticks);
         let beyond = |is_long: bool| -> Vec<f64> {
             let pairs = self.ticks.iter().zip(received_s.windows(2));
             let of = pairs.filter(|(ticks, _)| (**ticks > usual) == is_long);
             of.map(|(ticks, pair)| f64::from(*ticks) - (pair[1] - pair[0]) / self.tick_s).collect()
         };
-        let [mut long, mut rest] = [beyond(true), beyond(false)];
+        let mut long = beyond(true);
         long.len() >= MIN_LONG_INTERVALS
-            && crate::stats::median(&mut long).is_some_and(|apart| apart > MIN_LONG_EXCESS_TICKS)
-            && crate::stats::median(&mut rest).is_some_and(|apart| apart < MAX_OTHER_EXCESS_TICKS)
+            && median(&mut long).is_some_and(|apart| apart > MIN_LONG_EXCESS_TICKS)
+            && median(&mut beyond(false)).is_some_and(|apart| apart < MAX_OTHER_EXCESS_TICKS)
     }
 }
 

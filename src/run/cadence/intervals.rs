@@ -106,19 +106,25 @@ fn max_jitter_periods(times: &[(Stamp, i64)], period_s: f64) -> u32 {
     const MAX_DISTANCE_PERIODS: f64 = 0.25;
     /// Longer intervals are rare in any stream, in periods.
     const MAX_PERIODS: usize = 8;
-    let periods: Vec<f64> =
-        times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0) / period_s).collect();
+    let periods = |row: usize| {
+        let next = times.get(row + 1)?.0;
+        Some(next.seconds_since(times[row].0) / period_s)
+    };
     let is_near = |periods: f64| (periods - periods.round()).abs() < MAX_DISTANCE_PERIODS;
     let (mut at, mut below) = ([0_usize; MAX_PERIODS], [0_usize; MAX_PERIODS]);
-    for (row, &own) in periods.iter().enumerate() {
+    for (row, own) in (0..times.len()).filter_map(|row| Some((row, periods(row)?))) {
+        // Most intervals are one period, and rounding is slow.
+        if own < 1.0 + MAX_DISTANCE_PERIODS {
+            continue;
+        }
         let upper = if is_near(own) { own.round() } else { own.ceil() };
         if !(2.0..MAX_PERIODS as f64).contains(&upper) {
             continue;
         }
         // A late or early row shortens an adjacent interval.
         let beside = [row.checked_sub(1), Some(row + 1)].into_iter().flatten();
-        let mut beside = beside.filter_map(|other| periods.get(other));
-        let makes_up = |other: &f64| *other < 1.0 - MAX_DISTANCE_PERIODS && is_near(own + other);
+        let mut beside = beside.filter_map(periods);
+        let makes_up = |other: f64| other < 1.0 - MAX_DISTANCE_PERIODS && is_near(own + other);
         if is_near(own) {
             at[upper as usize] += 1;
         } else if !beside.any(makes_up) {
