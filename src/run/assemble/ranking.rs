@@ -53,6 +53,13 @@ impl FittedModel {
         self.fits.iter().map(|fitted| fitted.fit.lowest_score()).sum()
     }
 
+    /// Whether it fits some stream.
+    fn fits_without_fault(&self) -> bool {
+        self.fits
+            .iter()
+            .any(|StreamFit { fit, .. }| fit.faultless_residual_m() <= max_residual_m(fit.spread_m))
+    }
+
     fn streams_by_frame(&self, known: bool) -> impl Iterator<Item = usize> + '_ {
         let alike = move |fitted: &&StreamFit| fitted.is_frame_known == known;
         self.fits.iter().filter(alike).map(|fitted| fitted.stream)
@@ -75,7 +82,11 @@ impl PoseRanking<'_> {
     /// Ranking by necessary assumptions, best first. `None` if no stream distinguishes the models. Uses a
     /// stream's frame only if every model locates it.
     pub fn rank(&self, models: &[&LogModel]) -> Option<ModelRanking> {
-        let mut entries = self.fit_models(models, FitHypotheses::Faultless);
+        self.rank_with_faults(self.fit_models(models, FitHypotheses::Faultless))
+    }
+
+    /// Ranking after adding fits with a fault to these without one.
+    fn rank_with_faults(&self, mut entries: Vec<FittedModel>) -> Option<ModelRanking> {
         let max_scores = max_scores(&entries);
         entries.par_iter_mut().for_each(|FittedModel { arm, fits }| {
             let Some(arm) = arm.as_ref() else { return };
@@ -185,7 +196,11 @@ impl PoseRanking<'_> {
             })
             .collect();
         let all: Vec<&LogModel> = std::iter::once(model).chain(&competitors).collect();
-        let ranking = self.rank(&all)?;
+        let entries = self.fit_models(&all, FitHypotheses::Faultless);
+        if !entries[1..].iter().any(FittedModel::fits_without_fault) {
+            return None;
+        }
+        let ranking = self.rank_with_faults(entries)?;
         let best = ranking.models.first().filter(|best| best.model > 0)?;
         let own = ranking.models.iter().find(|standing| standing.model == 0);
         let is_better = own.is_none_or(|own| {
