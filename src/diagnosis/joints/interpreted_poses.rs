@@ -205,11 +205,24 @@ impl<'a> InterpretedPoses<'a> {
     /// slightly. `logged` are those of the logged poses.
     pub fn strain(&self, map: &JointMap, logged: &[[f64; 2]]) -> f64 {
         let lever_m = if self.rotation.is_some() { self.lever_m } else { 0.0 };
-        let distances = distances(&self.fk(map));
+        let distances = self.distances(&self.fk(map));
         let squares = distances.iter().zip(logged).map(|(fk, logged)| {
             (fk[0] - logged[0]).powi(2) + (lever_m * (fk[1] - logged[1])).powi(2)
         });
         mean(squares).sqrt()
+    }
+
+    /// Distances, m, and angles, rad, between some poses. Angles are 0 if only positions are compared.
+    pub fn distances(&self, poses: &[Pose]) -> Vec<[f64; 2]> {
+        let n = poses.len();
+        let pairs =
+            (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (poses[k], poses[(k + step) % n])));
+        let distance = |(a, b): (Pose, Pose)| {
+            let distance_m = (a.translation.vector - b.translation.vector).norm();
+            let angle = self.rotation.as_ref().map(|_| angle_between(&a.rotation, &b.rotation));
+            [distance_m, angle.unwrap_or(0.0)]
+        };
+        pairs.map(distance).collect()
     }
 
     /// Residual with the best frames.
@@ -222,15 +235,4 @@ impl<'a> InterpretedPoses<'a> {
     pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         self.fitted_residual(map, freedom).combined_m(self.lever_m)
     }
-}
-
-/// Distances, m, and angles, rad, between some poses.
-pub(super) fn distances(poses: &[Pose]) -> Vec<[f64; 2]> {
-    let n = poses.len();
-    let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (poses[k], poses[(k + step) % n])));
-    let distance = |(a, b): (Pose, Pose)| {
-        let distance_m = (a.translation.vector - b.translation.vector).norm();
-        [distance_m, angle_between(&a.rotation, &b.rotation)]
-    };
-    pairs.map(distance).collect()
 }

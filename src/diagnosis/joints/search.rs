@@ -3,9 +3,7 @@
 //! combinations of two. The best proposals of a kind are refined.
 
 use super::interpretation::JointInterpretation;
-use super::interpreted_poses::{
-    ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize, distances,
-};
+use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{
     Coupling, JointMap, MAX_PERMUTED_JOINTS, candidate_orders, other_maps, unit_maps,
 };
@@ -198,7 +196,7 @@ fn best_proposals(
         };
     let screened = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
         true => {
-            let logged = distances(&thin.logged());
+            let logged = thin.distances(&thin.logged());
             by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map, &logged))
         }
         false => proposals,
@@ -454,23 +452,23 @@ fn alternate_fit(
     found
 }
 
-/// `base` with another zero of a joint, and, if it can be reversed, with the other direction, then with both.
-fn with_joint_fault(
+/// `base` with a fault of each of `joints`: another zero, and, for those in `reversible`, the other direction, then both.
+fn with_joint_faults<'a>(
     view: &InterpretedPoses,
-    base: &JointProposal,
+    base: &'a JointProposal,
     frames: &ConstantFrames,
-    joint: usize,
-    can_be_reversed: bool,
-) -> Vec<JointProposal> {
-    let single = SingleJoint::new(view, &base.map, frames, joint);
-    let with_zero = |factor: f64, price: f64| {
-        base.with_joint(joint, factor, Some(single.best_zero(factor, true).0), price)
-    };
-    let mut proposals = vec![with_zero(1.0, 1.0)];
-    if can_be_reversed {
-        proposals.extend([base.with_joint(joint, -1.0, None, 1.0), with_zero(-1.0, 2.0)]);
-    }
-    proposals
+    joints: Vec<usize>,
+    reversible: &'a [usize],
+) -> impl Iterator<Item = impl Iterator<Item = JointProposal> + 'a> + 'a {
+    let singles = SingleJoint::each(view, &base.map, frames, &joints);
+    singles.into_iter().zip(joints).map(move |(single, joint)| {
+        let count = if reversible.contains(&joint) { 3 } else { 1 };
+        (0..count).map(move |fault| match fault {
+            0 => base.with_joint(joint, 1.0, Some(single.best_zero(1.0, true).0), 1.0),
+            1 => base.with_joint(joint, -1.0, None, 1.0),
+            _ => base.with_joint(joint, -1.0, Some(single.best_zero(-1.0, true).0), 2.0),
+        })
+    })
 }
 
 /// The first has its zero on a grid, forward or reversed.
@@ -500,10 +498,9 @@ fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal
         .into_par_iter()
         .flat_map_iter(|(first, base)| {
             let frames = thin.first_frames(&base.map, freedom);
-            let (thin, can_move) = (&thin, &can_move);
-            (0..dof).filter(move |&second| second != first).flat_map(move |second| {
-                with_joint_fault(thin, &base, &frames, second, can_move.contains(&second))
-            })
+            let seconds = (0..dof).filter(|&second| second != first).collect();
+            let faults = with_joint_faults(&thin, &base, &frames, seconds, &can_move);
+            faults.flatten().collect::<Vec<_>>()
         })
         .collect();
     best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)
@@ -520,12 +517,10 @@ fn order_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Join
         .flat_map_iter(|order| {
             let base = JointProposal::new(none.in_order(&order), ORDER_PRICE);
             let can_move = moving_joints(&thin, &base.map);
-            let (thin, frames) = (&thin, ConstantFrames::default());
-            (0..view.chain.dof()).flat_map(move |joint| {
-                let can_move = can_move.contains(&joint);
-                // Zero and direction of one joint are two causes.
-                with_joint_fault(thin, &base, &frames, joint, can_move).into_iter().take(2)
-            })
+            let (frames, joints) = (ConstantFrames::default(), (0..view.chain.dof()).collect());
+            let faults = with_joint_faults(&thin, &base, &frames, joints, &can_move);
+            // Zero and direction of one joint are two causes.
+            faults.flat_map(|faults| faults.take(2)).collect::<Vec<_>>()
         })
         .collect();
     best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)

@@ -8,7 +8,7 @@
 
 use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
-use crate::model::jacobian::PoseJacobian;
+use crate::model::jacobian::{Derivative, PoseJacobian};
 use ground::geometry::{Pose, Vec3};
 use ground::stats::mean;
 use std::f64::consts::{PI, TAU};
@@ -47,34 +47,60 @@ impl SingleJoint {
         frames: &ConstantFrames,
         joint: usize,
     ) -> Self {
+        Self::each(view, map, frames, &[joint]).remove(0)
+    }
+
+    /// The same for each of several joints.
+    pub fn each(
+        view: &InterpretedPoses,
+        map: &JointMap,
+        frames: &ConstantFrames,
+        joints: &[usize],
+    ) -> Vec<Self> {
         let dof = view.chain.dof();
-        let slides = view.chain.slides(joint);
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
         let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
-        let (mut values, mut required) = (Vec::new(), Vec::new());
+        let without_samples = |&joint: &usize| Self {
+            values: Vec::with_capacity(view.len()),
+            required: Vec::with_capacity(view.len()),
+            is_prismatic: view.chain.slides(joint),
+            span: view.spans[map.from[joint]],
+        };
+        let mut all: Vec<Self> = joints.iter().map(without_samples).collect();
         for (row, logged) in view.q.chunks_exact(dof).zip(view.logged()) {
             map.apply(row, &mut q);
-            values.push(row[map.from[joint]]);
             let link = view.chain.forward_with_jacobian(&q, &mut columns);
             let jacobian = PoseJacobian::new(&columns, &frames.reference, &link, &frames.tool);
-            let [velocity, axis] = jacobian.joint(joint);
             let predicted = pose_vectors(&jacobian.pose, lever_m);
-            let [_, u, v, w] = predicted;
-            let along = [velocity, axis.cross(&u), axis.cross(&v), axis.cross(&w)];
             let logged = pose_vectors(&logged, lever_m);
             let off: [Vec3; 4] = std::array::from_fn(|i| logged[i] - predicted[i]);
-            required.push(if slides {
-                [q[joint] + dot(&along, &off) / dot(&along, &along).max(1e-12), 0.0]
-            } else {
-                // On the circle about the axis, at angle `q` from the joint's zero.
-                let radius = along.map(|along| along.cross(&axis));
-                let off = std::array::from_fn(|i| off[i] + radius[i]);
-                let (cos, sin) = (dot(&radius, &off), dot(&along, &off));
-                let (sin_q, cos_q) = q[joint].sin_cos();
-                [cos * cos_q - sin * sin_q, cos * sin_q + sin * cos_q]
-            });
+            for (single, &joint) in all.iter_mut().zip(joints) {
+                single.values.push(row[map.from[joint]]);
+                let derivative = jacobian.joint(joint);
+                single.required.push(single.required(q[joint], derivative, &predicted, &off));
+            }
         }
-        Self { values, required, is_prismatic: slides, span: view.spans[map.from[joint]] }
+        all
+    }
+
+    /// Of a sample at position `q`. `off` is the difference of the logged pose from the `predicted` one.
+    fn required(
+        &self,
+        q: f64,
+        [velocity, axis]: Derivative,
+        [_, u, v, w]: &[Vec3; 4],
+        off: &[Vec3; 4],
+    ) -> [f64; 2] {
+        let along = [velocity, axis.cross(u), axis.cross(v), axis.cross(w)];
+        if self.is_prismatic {
+            return [q + dot(&along, off) / dot(&along, &along).max(1e-12), 0.0];
+        }
+        // On the circle about the axis, at angle `q` from the joint's zero.
+        let radius = along.map(|along| along.cross(&axis));
+        let off = std::array::from_fn(|i| off[i] + radius[i]);
+        let (cos, sin) = (dot(&radius, &off), dot(&along, &off));
+        let (sin_q, cos_q) = q.sin_cos();
+        [cos * cos_q - sin * sin_q, cos * sin_q + sin * cos_q]
     }
 
     /// Best zero, or 0 without one, and its score (higher is better).
