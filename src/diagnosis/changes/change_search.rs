@@ -8,7 +8,7 @@ use super::change_fit::{Candidate, Equations, Weights};
 use super::changing_stream::Stream;
 use super::jumps::{Jump, jumps_in_joints, jumps_in_logged_path};
 use super::profile::Profile;
-use super::score_test::{ChangeKind, likeliest_change};
+use super::score_test::{ChangeKind, ScoreTest};
 use crate::ArmDiagnosis;
 use crate::arm_run::ArmRun;
 use crate::priors::LEVER_M;
@@ -25,7 +25,8 @@ pub(super) fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Optio
     }
     let jumps = RecordedJumps::new(run);
     let mut found = Vec::new();
-    ChangeKind::ALL.into_iter().for_each(|kind| search(&streams, &jumps, kind, &mut found));
+    let none = Candidate::new(Vec::new(), &streams);
+    search(&streams, &jumps, none, &ChangeKind::ALL, &mut found);
     found.retain(|(it, _)| !it.changes.iter().any(|change| jumps.is_rounding(change)));
     // With its own noise, a candidate with a correlated residual would score less than a candidate with a larger white
     // residual.
@@ -44,42 +45,49 @@ pub(super) fn likeliest_changes(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Optio
     (!changed.changes.is_empty()).then_some(changed.changes)
 }
 
-/// Adds the likeliest change until none is likely, and each number of changes to `found`. The search uses the noise within
-/// tenths of the run, because the residual still contains the other changes.
+/// Adds `current` to `found`, then the same with the likeliest change of each of these kinds, until none is likely. Kinds with
+/// the same changes share their fit. The search uses the noise within tenths of the run, because the residual still contains
+/// the other changes.
 fn search(
     streams: &[Stream],
     jumps: &RecordedJumps,
-    kind: ChangeKind,
+    current: Candidate,
+    kinds: &[ChangeKind],
     found: &mut Vec<(Candidate, Weights)>,
 ) {
     const MAX_CHANGES: usize = 4;
-    let mut current = Candidate::new(Vec::new(), streams);
-    loop {
-        let steady = current.steady(streams);
-        let equations = Equations::new(&steady, &current.changes, None);
-        let next = |(stream, equations): (&Stream, &StreamEquations)| {
-            stream.next_change(&current.changes, &equations.linear, kind)
-        };
-        let can_grow = current.changes.len() < MAX_CHANGES * streams.len();
-        let pairs = steady.iter().zip(&equations.shared.streams).filter(|_| can_grow);
-        let next = highest(pairs.filter_map(next), |next| next.1);
-        if !found.iter().any(|(known, _)| known.has_changes_of(&current)) {
-            found.push((current.clone(), current.weights(&steady, equations)));
-        }
-        let Some((mut next, _)) = next else { break };
+    let steady = current.steady(streams);
+    let equations = Equations::new(&steady, &current.changes, None);
+    let can_grow = current.changes.len() < MAX_CHANGES * streams.len();
+    let pairs = steady.iter().zip(&equations.shared.streams).filter(|_| can_grow);
+    let next = |(stream, equations): (&Stream, &StreamEquations)| {
+        stream.next_changes(&current.changes, &equations.linear, kinds)
+    };
+    let by_stream: Vec<Vec<Option<(Change, f64)>>> = pairs.filter_map(next).collect();
+    let mut grown: Vec<(Candidate, Vec<ChangeKind>)> = Vec::new();
+    for (at, kind) in kinds.iter().enumerate() {
+        let all = by_stream.iter().filter_map(|of_kinds| of_kinds[at].clone());
+        let Some((mut next, _)) = highest(all, |next| next.1) else { continue };
         let is_recorded = jumps.date(&mut next);
         // The joint states show a lost zero, and not a turn of the tool.
         let is_last = |stream: &Stream| {
             stream.seen(&next).is_none_or(|it| it.columns.start == stream.columns.last_zero())
         };
         if !is_recorded && next.subject.stream().is_none() && streams.iter().all(is_last) {
-            break;
+            continue;
         }
-        current.changes.push(next);
-        current = match found.iter().find(|(known, _)| known.has_changes_of(&current)) {
-            Some((known, _)) => known.clone(),
-            None => current.fitted(streams),
-        };
+        let mut with_next = current.clone();
+        with_next.changes.push(next);
+        match grown.iter_mut().find(|(known, _)| known.has_changes_of(&with_next)) {
+            Some((_, kinds)) => kinds.push(*kind),
+            None => grown.push((with_next, vec![*kind])),
+        }
+    }
+    let weights = current.weights(&steady, equations);
+    found.push((current, weights));
+    drop(steady);
+    for (with_next, kinds) in grown {
+        search(streams, jumps, with_next.fitted(streams), &kinds, found);
     }
 }
 
@@ -90,28 +98,33 @@ fn sigma_m(weights: &Weights) -> f64 {
 }
 
 impl Stream<'_> {
-    /// The likeliest change in addition to these, with its score. `None` without one, or if another change, such as one of
-    /// the latency, is likelier.
-    fn next_change(
+    /// The likeliest change of each kind in addition to these, with its score. `None` without one, or if another change, such
+    /// as one of the latency, is likelier.
+    fn next_changes(
         &self,
         changes: &[Change],
         linear: &Linear,
-        kind: ChangeKind,
-    ) -> Option<(Change, f64)> {
+        kinds: &[ChangeKind],
+    ) -> Option<Vec<Option<(Change, f64)>>> {
         if !has_slow_residual(self.found) {
             return None;
         }
         let seen = self.all_seen(changes);
-        let likeliest =
-            |weights: &[Weight]| likeliest_change(&self.columns, &seen, (linear, weights), kind);
-        let (mut profile, mut columns, mut score) = likeliest(&self.columns.local_weights(linear))?;
-        if kind.with_drifts {
-            // The residual after this change has the weights that resolve its shape.
-            let beside =
-                self.columns.linearize(&[self.variable(&columns, |t_s| profile.factor(t_s))]);
-            (profile, columns, score) = likeliest(&self.columns.local_weights(&beside))?;
-        }
-        Some((self.change(profile, columns)?, score))
+        let weights = self.columns.local_weights(linear);
+        let test = ScoreTest::new(&self.columns, linear, &weights)?;
+        let next = |kind: &ChangeKind| {
+            let (mut profile, mut columns, mut score) = test.likeliest_change(&seen, *kind)?;
+            if kind.with_drifts {
+                // The residual after this change has the weights that resolve its shape.
+                let beside =
+                    self.columns.linearize(&[self.variable(&columns, |t_s| profile.factor(t_s))]);
+                let weights = self.columns.local_weights(&beside);
+                let test = ScoreTest::new(&self.columns, linear, &weights)?;
+                (profile, columns, score) = test.likeliest_change(&seen, *kind)?;
+            }
+            Some((self.change(profile, columns)?, score))
+        };
+        Some(kinds.iter().map(next).collect())
     }
 }
 

@@ -14,6 +14,7 @@ use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::{Linear, Weight, ridged};
 use ground::stats::highest;
 use nalgebra::{DMatrix, DVector};
+use std::cell::OnceCell;
 use std::ops::Range;
 
 /// Variable columns that may change together: a frame's translation, its rotation, or both, the latency, the radial
@@ -71,12 +72,18 @@ impl ChangeKind {
 
 /// A change of these columns with its score: the reduction of the cost beyond constant causes, minus the price of the
 /// change.
-type Scored = (Profile, Range<usize>, f64);
+pub(super) type Scored = (Profile, Range<usize>, f64);
 
 /// Samples in which a gradual profile is nearly constant.
 const BLOCK: usize = 16;
 
-struct ScoreTest<'a> {
+/// Samples between the steps tested first.
+const STRIDE: usize = 16;
+
+/// A sample, with the gain of a step of each cause there.
+type TestedStep = (usize, Vec<f64>);
+
+pub(super) struct ScoreTest<'a> {
     columns: &'a CauseColumns<'a>,
     causes: Vec<Range<usize>>,
     linear: &'a Linear,
@@ -91,6 +98,8 @@ struct ScoreTest<'a> {
     /// Their step.
     constant: DVector<f64>,
     price: f64,
+    /// Steps at every [`STRIDE`]th sample.
+    steps: OnceCell<Vec<TestedStep>>,
 }
 
 /// Sums over samples of the variable columns with a factor: products with the constant columns, with each other, and
@@ -112,16 +121,31 @@ impl Sums {
 }
 
 impl<'a> ScoreTest<'a> {
-    fn new(columns: &'a CauseColumns, linear: &'a Linear, weights: &'a [Weight]) -> Option<Self> {
+    pub fn new(
+        columns: &'a CauseColumns,
+        linear: &'a Linear,
+        weights: &'a [Weight],
+    ) -> Option<Self> {
         let mut normal = linear.normal(weights);
         columns.add_prior(&mut normal);
         let inverse = ridged(normal.matrix).cholesky()?.inverse();
         let constant = &inverse * normal.right;
         let (causes, price) = (causes(columns), price(normal.independent));
         let t_s = columns.samples().map(|row| columns.aligned.t_s[row]).collect();
-        let (blocks, later) = (Vec::new(), Vec::new());
-        let mut test =
-            Self { columns, causes, linear, weights, t_s, blocks, later, inverse, constant, price };
+        let (blocks, later, steps) = (Vec::new(), Vec::new(), OnceCell::new());
+        let mut test = Self {
+            columns,
+            causes,
+            linear,
+            weights,
+            t_s,
+            blocks,
+            later,
+            inverse,
+            constant,
+            price,
+            steps,
+        };
         let starts = (0..linear.len()).step_by(BLOCK);
         let block = |start: usize| {
             let samples = start..(start + BLOCK).min(linear.len());
@@ -196,75 +220,79 @@ impl<'a> ScoreTest<'a> {
         gain - self.price * (self.causes[of].len() + profile_parameters) as f64
     }
 
-    /// Cause with the highest score.
-    fn likeliest(&self, gains: &[f64], profile_parameters: usize) -> Option<(usize, f64)> {
-        let score = |(of, gain): (usize, &f64)| (of, self.score(of, *gain, profile_parameters));
-        highest(gains.iter().enumerate().map(score), |it| it.1)
+    /// Cause among `tested` with the highest score.
+    fn likeliest(
+        &self,
+        tested: &[usize],
+        gains: &[f64],
+        profile_parameters: usize,
+    ) -> Option<(usize, f64)> {
+        let score = |&of: &usize| (of, self.score(of, gains[of], profile_parameters));
+        highest(tested.iter().map(score), |it| it.1)
     }
 
-    fn scored(&self, profile: Profile) -> Option<Scored> {
+    fn scored(&self, tested: &[usize], profile: Profile) -> Option<Scored> {
         let gains = self.gains_of_profile(|t_s| profile.factor(t_s));
-        let (of, score) = self.likeliest(&gains, profile.parameters())?;
+        let (of, score) = self.likeliest(tested, &gains, profile.parameters())?;
         Some((profile, self.causes[of].clone(), score))
     }
 
-    /// The likeliest gradual change.
-    fn likeliest_drift(&self) -> Option<Scored> {
+    /// The likeliest gradual change of a cause among `tested`.
+    fn likeliest_drift(&self, tested: &[usize]) -> Option<Scored> {
         /// Of the distance between coarse profiles; the fit of the amounts refines the rest.
         const SMALLEST_PART: f64 = 0.2;
         let run_s = [*self.t_s.first()?, *self.t_s.last()?];
         let likelier = |a: &Scored, b: &Scored| a.2.total_cmp(&b.2);
-        let coarse = Profile::coarse(run_s).filter_map(|profile| self.scored(profile));
+        let coarse = Profile::coarse(run_s).filter_map(|it| self.scored(tested, it));
         let mut best = coarse.max_by(likelier)?;
         let mut part = 0.5;
         while part > SMALLEST_PART {
-            let near = best.0.neighbours(part).filter_map(|profile| self.scored(profile));
+            let near = best.0.neighbours(part).filter_map(|it| self.scored(tested, it));
             match near.max_by(likelier).filter(|near| likelier(near, &best).is_gt()) {
                 Some(near) => best = near,
                 None => part *= 0.5,
             }
         }
-        let throughout = self.scored(Profile::Ramp { run_s, from: 0.0, to: 1.0 });
+        let throughout = self.scored(tested, Profile::Ramp { run_s, from: 0.0, to: 1.0 });
         throughout.into_iter().chain([best]).max_by(likelier)
     }
 
-    /// The likeliest step, apart from those found. Its strength is relative to the price of its parameters.
-    fn likeliest_step(&self, found: &'a [Change]) -> Option<Scored> {
+    /// The likeliest step of a cause among `tested`, apart from those found. Its strength is relative to the price of its
+    /// parameters.
+    fn likeliest_step(&self, tested: &[usize], found: &[Change]) -> Option<Scored> {
         /// In the log-likelihood, of the 95 % interval of its time.
         const TIME_TOLERANCE: f64 = 1.92;
-        /// Between the samples tested first.
-        const STRIDE: usize = 16;
         let t_s = &self.t_s;
         let inner = MIN_SEGMENT_SAMPLES..t_s.len().checked_sub(MIN_SEGMENT_SAMPLES)?;
-        let at = |it: &'a Change| {
+        let at = |it: &Change| {
             let at_s = it.profile.step()?.at_s;
-            Some((t_s.iter().position(|t_s| *t_s >= at_s)?, &it.columns))
+            Some((t_s.iter().position(|t_s| *t_s >= at_s)?, it.columns.clone()))
         };
-        let found: Vec<(usize, &Range<usize>)> = found.iter().filter_map(at).collect();
+        let found: Vec<(usize, Range<usize>)> = found.iter().filter_map(at).collect();
         let is_free = |of: usize, sample: usize| {
             let cause = &self.causes[of];
             let overlaps = |it: &Range<usize>| it.start < cause.end && cause.start < it.end;
-            !found.iter().any(|&(at, columns)| {
-                at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns)
-            })
+            !found
+                .iter()
+                .any(|(at, columns)| at.abs_diff(sample) < MIN_SEGMENT_SAMPLES && overlaps(columns))
         };
-        let tested = |samples: &mut dyn Iterator<Item = usize>| -> Vec<(usize, Vec<f64>)> {
+        let test = |samples: &mut dyn Iterator<Item = usize>| -> Vec<TestedStep> {
             samples.map(|sample| (sample, self.gains_of_step(sample))).collect()
         };
-        let likeliest = |tested: &[(usize, Vec<f64>)]| {
-            let scored = tested.iter().flat_map(|(sample, gains)| {
-                let free = (0..gains.len()).filter(|of| is_free(*of, *sample));
+        let likeliest = |steps: &[TestedStep]| {
+            let scored = steps.iter().flat_map(|(sample, gains)| {
+                let free = tested.iter().filter(|of| is_free(**of, *sample));
                 // The time is a parameter, too.
-                free.map(|of| (*sample, of, gains[of], self.score(of, gains[of], 1)))
+                free.map(|&of| (*sample, of, gains[of], self.score(of, gains[of], 1)))
             });
             highest(scored, |it| it.3)
         };
-        let coarse = tested(&mut inner.clone().step_by(STRIDE));
-        let (near, ..) = likeliest(&coarse)?;
+        let coarse = self.steps.get_or_init(|| test(&mut inner.clone().step_by(STRIDE)));
+        let (near, ..) = likeliest(coarse)?;
         let around = near.saturating_sub(STRIDE)..=near + STRIDE;
-        let fine = tested(&mut around.filter(|sample| inner.contains(sample)));
+        let fine = test(&mut around.filter(|sample| inner.contains(sample)));
         let (sample, of, gain, score) = likeliest(&fine)?;
-        let is_likely = |it: &&(usize, Vec<f64>)| it.1[of] > gain - 2.0 * TIME_TOLERANCE;
+        let is_likely = |it: &&TestedStep| it.1[of] > gain - 2.0 * TIME_TOLERANCE;
         let likely = || coarse.iter().chain(&fine).filter(is_likely).map(|it| it.0);
         let (first, last) = (likely().min()?, likely().max()?);
         let columns = self.causes[of].clone();
@@ -275,30 +303,27 @@ impl<'a> ScoreTest<'a> {
         });
         Some((profile, columns, score))
     }
+
+    /// The likeliest change of this kind, in addition to those found and in the linearisation, if the likelihood justifies
+    /// one.
+    pub fn likeliest_change(&self, found: &[Change], kind: ChangeKind) -> Option<Scored> {
+        let is_tested = |of: &usize| kind.causes.contains(&self.causes[*of], self.columns);
+        let tested: Vec<usize> = (0..self.causes.len()).filter(is_tested).collect();
+        let drift = kind.with_drifts.then(|| self.likeliest_drift(&tested)).flatten();
+        let all = drift.into_iter().chain(self.likeliest_step(&tested, found));
+        all.filter(|(.., score)| *score > 0.0).max_by(|a, b| a.2.total_cmp(&b.2))
+    }
 }
 
 /// Whether a constant joint zero is likelier than the link deviations that imitate it.
 pub(super) fn has_unusual_zero(columns: &CauseColumns) -> bool {
     let (linear, fit) = columns.constant_fit();
-    let zero = ScoreTest::new(columns, &linear, &fit.weights).and_then(|mut test| {
-        test.causes.retain(|cause| (ZEROS..columns.last_zero()).contains(&cause.start));
-        test.likeliest(&test.gains_of_profile(|_| 1.0), 0)
+    let zero = ScoreTest::new(columns, &linear, &fit.weights).and_then(|test| {
+        let is_zero = |of: &usize| (ZEROS..columns.last_zero()).contains(&test.causes[*of].start);
+        let zeros: Vec<usize> = (0..test.causes.len()).filter(is_zero).collect();
+        test.likeliest(&zeros, &test.gains_of_profile(|_| 1.0), 0)
     });
     zero.is_some_and(|(_, score)| score > 0.0)
-}
-
-/// The likeliest change of the stream, in addition to those found and in the linearisation, if the likelihood justifies one.
-pub(super) fn likeliest_change<'a>(
-    columns: &'a CauseColumns,
-    found: &'a [Change],
-    (linear, weights): (&'a Linear, &'a [Weight]),
-    kind: ChangeKind,
-) -> Option<Scored> {
-    let mut test = ScoreTest::new(columns, linear, weights)?;
-    test.causes.retain(|cause| kind.causes.contains(cause, columns));
-    let drift = kind.with_drifts.then(|| test.likeliest_drift()).flatten();
-    let all = drift.into_iter().chain(test.likeliest_step(found));
-    highest(all, |it| it.2).filter(|(.., score)| *score > 0.0)
 }
 
 #[cfg(test)]
@@ -331,7 +356,8 @@ mod tests {
         let columns = CauseColumns::new(&diagnosis.streams[0], &stream);
         let linear = columns.linearize(&[]);
         let weights = columns.local_weights(&linear);
-        likeliest_change(&columns, &[], (&linear, &weights), ChangeKind::ALL[0])?.0.step()
+        let test = ScoreTest::new(&columns, &linear, &weights)?;
+        test.likeliest_change(&[], ChangeKind::ALL[0])?.0.step()
     }
 
     #[test]
