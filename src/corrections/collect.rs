@@ -367,7 +367,7 @@ impl CorrectionPlan {
     ) -> CorrectionResult {
         let topic = context.single_topic(finding)?;
         let parent = finding.subject.frame.clone().ok_or_else(no_value)?;
-        let child = format!("{parent}_of_{}", slug(&topic));
+        let child = new_frame(&parent, &topic);
         let convention = context.convention_of_numbers(&topic);
         let correction = self.corrections.topic(&topic);
         let frame = Some(FrameCorrection::from(found));
@@ -401,9 +401,9 @@ impl CorrectionPlan {
         let pose = Pose::from_parts(logged.translation, *rotation);
         let correction = self.corrections.topic(&topic);
         correction.link_from_imu_xyzw = Some(xyzw_from_rotation(rotation));
-        let what = format!("{child} has a different orientation in {parent}");
-        let comment =
-            format!("replaces the static transform to {child}; the position is the log's");
+        let (child, usage) = mounted_frame(&parent, child, &topic);
+        let what = format!("orientation of {child} in {parent}");
+        let comment = format!("{usage}; the position is the log's");
         self.add_fixed_frame(finding, comment, [parent, child], pose);
         Ok((what, vec![TRANSFORMS_FILE, JOINTS_FILE, CORRECTIONS_FILE]))
     }
@@ -432,8 +432,8 @@ impl CorrectionPlan {
                 );
             }
         }
-        let what = format!("{child} has a different pose in {parent}");
-        let comment = format!("replaces the static transform to {child}");
+        let (child, comment) = mounted_frame(&parent, child, &topic);
+        let what = format!("pose of {child} in {parent}");
         self.add_fixed_frame(finding, comment, [parent, child], *pose);
         Ok((what, vec![TRANSFORMS_FILE, JOINTS_FILE, CORRECTIONS_FILE]))
     }
@@ -504,5 +504,36 @@ impl CorrectionPlan {
             false => plain,
             true => format!("{stem}-{}.{extension}", self.models.len() + 1),
         }
+    }
+}
+
+/// Frame for a stream whose logged frame, at `parent`, is wrong.
+fn new_frame(parent: &str, topic: &str) -> String {
+    format!("{parent}_of_{}", slug(topic))
+}
+
+/// Frame of a sensor that is mounted on `parent`, and how to use it. It is new if messages name `parent` itself, because
+/// no transform leads from a frame to itself.
+fn mounted_frame(parent: &str, frame_id: String, topic: &str) -> (String, String) {
+    if frame_id == parent {
+        return (new_frame(parent, topic), format!("frame of {topic}: use it as its frame_id"));
+    }
+    let usage = format!("replaces the static transform to {frame_id}");
+    (frame_id, usage)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sensor_in_the_frame_of_its_link_gets_a_new_frame() {
+        let of = |frame_id: &str| mounted_frame("tool0", frame_id.to_owned(), "/imu/data");
+        let (frame, usage) = of("tool0");
+        assert_eq!(frame, "tool0_of_imu_data");
+        assert_eq!(usage, "frame of /imu/data: use it as its frame_id");
+        let (frame, usage) = of("imu_link");
+        assert_eq!(frame, "imu_link");
+        assert_eq!(usage, "replaces the static transform to imu_link");
     }
 }

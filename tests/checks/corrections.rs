@@ -13,6 +13,7 @@ use tempfile::TempDir;
 
 use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::ord::misread;
+use crate::checks::recording::Message;
 use crate::checks::zer::zero_offset;
 
 /// An audited log, its corrections, and its audit with them.
@@ -277,6 +278,32 @@ fn frames_are_corrected() {
     let command = mount.text("static_transforms.sh");
     assert!(command.contains("--frame-id tool0 --child-frame-id imu_link"), "{command}");
     assert!(command.contains(&format!("YAW003 on {IMU}")), "{command}");
+}
+
+#[test]
+fn the_mount_of_an_imu_in_the_frame_of_its_link_is_a_new_frame() {
+    let mount = CorrectedLog::audit(|log| {
+        log.run.imu.tip_from_imu = crate::checks::yaw::rotated_mount(90.0);
+        log.edit = Some(|messages| set_imu_frame(messages, b"tool0\0"));
+    });
+    mount.assert_corrects(&["YAW003"], &[]);
+    let command = mount.text("static_transforms.sh");
+    assert!(command.contains("--frame-id tool0 --child-frame-id tool0_of_imu_data"), "{command}");
+    assert!(command.contains("use it as its frame_id"), "{command}");
+    assert!(mount.text("fixed_joints.xml").contains("<child link=\"tool0_of_imu_data\"/>"));
+}
+
+/// Replaces `imu_link`, with its zero byte, by a name that needs as much padding.
+fn set_imu_frame(messages: &mut [Message], name: &[u8]) {
+    // Offsets after the encapsulation header and the stamp.
+    const LENGTH: usize = 12;
+    const NAME: usize = 16;
+    const QUATERNION: usize = 28;
+    for message in messages.iter_mut().filter(|message| message.topic == IMU) {
+        message.cdr[LENGTH..NAME].copy_from_slice(&(name.len() as u32).to_le_bytes());
+        message.cdr[NAME..QUATERNION].fill(0);
+        message.cdr[NAME..NAME + name.len()].copy_from_slice(name);
+    }
 }
 
 #[test]
