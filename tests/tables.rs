@@ -130,6 +130,18 @@ pub(crate) fn audit_table(
     audit(&options).map(poseaudit::Audited::into_report)
 }
 
+/// Reports on a table without and with the corrections of its findings.
+pub(crate) fn audit_and_correct(path: &Path, robot: &str) -> [Report; 2] {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = RunOptions { robots: vec![robot.into()], ..RunOptions::default() };
+    let mut options = Options { logs: vec![path.to_owned()], run, ..Options::default() };
+    let before = audit(&options).expect("a report");
+    before.write_fixes(folder.path()).expect("corrections");
+    options.corrections = Some(folder.path().join("corrections.toml"));
+    let after = audit(&options).expect("a report");
+    [before, after].map(poseaudit::Audited::into_report)
+}
+
 pub(crate) fn value_of(report: &Report, code: &str) -> f64 {
     let found: Vec<&Finding> =
         report.findings.iter().filter(|finding| finding.code == code).collect();
@@ -470,6 +482,38 @@ fn units_in_column_names_are_compared_with_the_motion() {
     assert_eq!(fault_codes(&right), [""; 0], "{:?}", right.findings);
     let millimetres = audited("rad", "mm", &CLEAN);
     assert_eq!(fault_codes(&millimetres), ["META001"], "{:?}", millimetres.findings);
+}
+
+/// Rows with millimetres and degrees in the columns of a FANUC.
+fn fanuc_rows(convention: Convention) -> Vec<Vec<f64>> {
+    let mut rows = CLEAN.rows();
+    for row in &mut rows {
+        let rotation =
+            rotation_from_xyzw([row[10], row[11], row[12], row[13]]).expect("a rotation");
+        row.truncate(10);
+        row[7..].iter_mut().for_each(|metres| *metres *= 1e3);
+        row.extend(convention.numbers(&rotation).map(f64::to_degrees));
+    }
+    rows
+}
+
+#[test]
+fn a_corrected_encoding_is_not_compared_with_the_names_of_columns() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    let moving_axes: Convention = "euler:ZYX".parse().expect("a convention");
+    for (convention, codes) in [(Convention::RPY, vec![]), (moving_axes, vec!["META001"])] {
+        let rows = fanuc_rows(convention);
+        write_columns(&path, "time,q1,q2,q3,q4,q5,q6,X,Y,Z,W,P,R", &rows, 1..7 + JOINTS);
+        let [before, after] = audit_and_correct(&path, "ur5e");
+        assert_eq!(fault_codes(&before), codes, "{:?}", before.findings);
+        let inferred = before.findings.iter().find(|finding| finding.code == "ORD001");
+        let inferred = inferred.expect("a finding");
+        assert!(inferred.message.contains(&convention.to_string()), "{}", inferred.message);
+        assert!(after.findings.is_empty(), "{:?}", after.findings);
+        let gimbal_lock = after.checks.iter().find(|row| row.code == "ORD006").expect("a row");
+        assert_eq!(gimbal_lock.status, Status::Pass, "{:?}", gimbal_lock.reason);
+    }
 }
 
 #[test]

@@ -10,11 +10,11 @@ use crate::diagnosis::{
     AxesError, IntendedEncoding, PoseEncoding, reinterpret_imu, reinterpret_poses,
 };
 use crate::finding::Unit;
-use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
+use crate::geometry::{LengthScale, Misread, Pose, RotationEncoding, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::Trouble;
 use crate::robot::JointKind;
-use crate::run::{Arm, JointStateCorrection, PoseSource, Run};
+use crate::run::{Arm, Declaration, JointStateCorrection, PoseSource, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
@@ -74,6 +74,7 @@ impl GivenCorrections<'_> {
                 );
             }
             let mut unapplied = UnappliedParts::from_correction(correction);
+            run.declared.extend(self.declaration(correction));
             for arm in 0..run.arms.len() {
                 correct_poses(run, arm, correction, max_lag_s, &mut unapplied);
                 correct_imus(run, arm, correction, max_lag_s, &mut unapplied);
@@ -84,6 +85,19 @@ impl GivenCorrections<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Encoding that a correction states for bare numbers.
+    fn declaration(&self, correction: &TopicCorrection) -> Option<Declaration> {
+        let TopicCorrection { name, convention, length_unit, angle_unit, .. } = correction;
+        Some(Declaration {
+            topic: name.clone(),
+            place: self.file.display().to_string(),
+            coding: RotationEncoding::Three((*convention)?),
+            length: length_unit.map(|unit| unit.is).unwrap_or_default(),
+            angle: angle_unit.map(|unit| unit.is).unwrap_or_default(),
+            is_of_vendor: false,
+        })
     }
 
     fn corrects_poses(&self, correction: &TopicCorrection) -> bool {
@@ -337,6 +351,11 @@ fn correct_units(
         unapplied.mark_applied("convention");
         let rotations = numbers.iter().map(|&numbers| convention.rotation(numbers)).collect();
         track.orientation = Orientations::Rotations(rotations);
+    }
+    // A correction states the encoding of bare numbers, as a declaration does.
+    let is_stated = correction.length_unit.is_some() || correction.convention.is_some();
+    if is_stated && !matches!(track.orientation, Orientations::Numbers(_)) {
+        track.declared.get_or_insert_default();
     }
 }
 

@@ -34,6 +34,8 @@ rule! {
     /// - Swapped names of two joints that move alike are not found.
     /// - Rates are compared with the median interval of a stamp column. Stamps generated from the declared
     ///   rate always agree with it.
+    /// - If the encoding is given (`--declare`, `--columns`, the config, `--corrections`), the names of the
+    ///   rotation columns are not compared.
     /// - Joint columns are not checked here: ORD004 compares their unit with the poses. FRM007 detects a pose
     ///   that follows no arm.
     META001 {
