@@ -62,10 +62,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     let given = corrections.as_ref().zip(options.corrections.as_deref());
     let given = given.map(|(corrections, file)| GivenCorrections { corrections, file });
     let mut log = audit::open(options)?;
-    if let Some(given) = &given {
-        given.correct_stamps(&mut log)?;
-    }
-    prepare(&mut log, &options.run)?;
+    audit::prepare_corrected(&mut log, &options.run, given.as_ref())?;
     Audited::audit(log, options, given)
 }
 

@@ -10,7 +10,9 @@ use poseaudit::log::ColumnSettings;
 use poseaudit::report::{Report, Verdict};
 use poseaudit::{Options, audit};
 
-use crate::tables::{CLEAN, STEP_S, Table, audit_table, fault_codes, ur5e, value_of};
+use crate::tables::{
+    CLEAN, STEP_S, Table, audit_and_correct, audit_table, fault_codes, ur5e, value_of,
+};
 
 /// Writes columns called `t`, `c0`, `c1` and so on, or `names`.
 fn csv(folder: &Path, rows: &[Vec<f64>], names: Option<&[&str]>) -> PathBuf {
@@ -120,6 +122,17 @@ fn faults_are_found_as_with_named_columns_and_again_with_the_config_of_init() {
         };
         assert_eq!(findings(&again), findings(&found));
     }
+}
+
+#[test]
+fn corrections_apply_to_columns_that_the_motion_identifies() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let table = Table { latency_s: 0.06, rpy: true, ..CLEAN };
+    let [before, after] = audit_and_correct(&csv(folder.path(), &table.rows(), None), "ur5e");
+    assert_eq!(fault_codes(&before), ["LAT001"], "{:?}", before.findings);
+    assert!(after.findings.is_empty(), "{:?}", after.findings);
+    let notes = &after.log.notes;
+    assert!(notes.iter().any(|note| note.note.contains("corrected: pose by its latency of 60 ms")));
 }
 
 #[test]

@@ -113,7 +113,20 @@ pub struct Audited {
 /// # Errors
 /// If tables with different time origins cannot be aligned.
 pub fn prepare(log: &mut Log, options: &RunOptions) -> Result<(), Trouble> {
+    prepare_corrected(log, options, None)
+}
+
+/// The same, with corrected stamps. Topics that consist of identified columns are corrected too.
+///
+/// # Errors
+/// As [`prepare`], and if a corrected topic is not in the log.
+pub(crate) fn prepare_corrected(
+    log: &mut Log,
+    options: &RunOptions,
+    given: Option<&GivenCorrections<'_>>,
+) -> Result<(), Trouble> {
     identify_columns(log, options);
+    given.map_or(Ok(()), |given| given.correct_stamps(log))?;
     align_table_clocks(log, options).map_err(Trouble::from)
 }
 
