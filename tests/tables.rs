@@ -510,6 +510,8 @@ fn a_corrected_encoding_is_not_compared_with_the_names_of_columns() {
         let inferred = before.findings.iter().find(|finding| finding.code == "ORD001");
         let inferred = inferred.expect("a finding");
         assert!(inferred.message.contains(&convention.to_string()), "{}", inferred.message);
+        let is_other = inferred.fix.contains("named as euler:xyz (META001)");
+        assert_eq!(is_other, !codes.is_empty(), "{}", inferred.fix);
         assert!(after.findings.is_empty(), "{:?}", after.findings);
         let gimbal_lock = after.checks.iter().find(|row| row.code == "ORD006").expect("a row");
         assert_eq!(gimbal_lock.status, Status::Pass, "{:?}", gimbal_lock.reason);

@@ -5,7 +5,7 @@ use crate::checks::{Case, SubjectResult};
 use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LengthUnitError, NotObservable, PoseDiagnosis, PoseEncoding,
 };
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Unit,
 };
@@ -13,6 +13,7 @@ use crate::geometry::{
     AngleUnit, Convention, LengthScale, Misinterpretation, Misread, QuaternionOrderError,
     RotationEncoding, RotationError, vendors,
 };
+use crate::run::named_encodings;
 
 /// Minimum ratio of the residuals as logged and of the next best encoding to that of a reported one.
 const MIN_CLEAR_RATIO: f64 = 2.0;
@@ -65,7 +66,11 @@ pub fn judge(
             let found = &stream.diagnosis;
             let doubt = found.is_far_from_fk().then_some("its positions do not match FK");
             let is_changing = stream.has_bare_numbers && found.encoding_spans.rotation.is_some();
-            let undeclared = (stream.is_undeclared || is_changing).then_some(found);
+            let stated = || {
+                let compared = compare_labels(arm, stream)?;
+                (!compared.is_followed).then_some(compared.stated)
+            };
+            let undeclared = (stream.is_undeclared || is_changing).then(|| (found, stated()));
             let unidentified = stream.unidentified_columns.as_slice();
             stream.with_value((
                 &found.encoding,
@@ -162,12 +167,53 @@ pub(super) fn rotation_not_checked(unidentified: &[String]) -> Outcome {
     ))
 }
 
-/// For numbers without a declared convention: a note with the inferred encoding, never a fault.
+/// Rotation encoding that the names of columns state, and the one in which they follow the arm.
+pub(super) struct LabelComparison {
+    pub stated: RotationEncoding,
+    pub actual: RotationEncoding,
+    /// Whether the columns follow the arm as they are named.
+    pub is_followed: bool,
+}
+
+/// `None` if column names or motion do not determine the rotation encoding.
+pub(super) fn compare_labels(
+    arm: &ArmEvidence,
+    pose: &StreamEvidence<PoseEvidence>,
+) -> Option<LabelComparison> {
+    let labels = pose.labels?;
+    let encoding =
+        pose.diagnosis.encoding.as_ref().ok().filter(|encoding| encoding.is_determined)?;
+    if encoding.best_rad > MAX_RESIDUAL_RAD {
+        return None;
+    }
+    let named = named_encodings(labels, &arm.name);
+    let coding = |encoding: &PoseEncoding| match encoding {
+        PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(*convention)),
+        PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
+            Some(RotationEncoding::Wxyz)
+        }
+        PoseEncoding::AsLogged => Some(RotationEncoding::Xyzw),
+        _ => None,
+    };
+    let actual = coding(&encoding.best)?;
+    let is_named = |encoding: &PoseEncoding| {
+        coding(encoding).is_some_and(|named_coding| named.contains(&named_coding))
+    };
+    let limit_rad = MIN_CLEAR_RATIO * encoding.best_rad.max(Unit::Radian.noise_floor());
+    let is_close = |(encoding, rad): &(PoseEncoding, f64)| is_named(encoding) && *rad <= limit_rad;
+    let is_followed = named.contains(&actual)
+        || encoding.equivalent.iter().any(is_named)
+        || encoding.ranked.iter().any(is_close);
+    Some(LabelComparison { stated: *named.first()?, actual, is_followed })
+}
+
+/// For numbers without a declared convention: a note with the inferred encoding, never a fault. Names of their columns may
+/// state another one.
 fn judge_undeclared(
     arm: &ArmEvidence,
     topic: &str,
     kind: EncodingFaultKind,
-    found: &PoseDiagnosis,
+    (found, stated): (&PoseDiagnosis, Option<RotationEncoding>),
     (outcome, estimate): (Outcome, Option<Estimate>),
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
@@ -185,6 +231,7 @@ fn judge_undeclared(
             let (length, angle) = inferred_units(found);
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
+            let declaration = declaration(topic, form, found);
             let fault = Fault {
                 severity: match found.encoding_spans.rotation {
                     Some(_) => Severity::Error,
@@ -194,10 +241,13 @@ fn judge_undeclared(
                 title: "encoding of undeclared numbers was inferred",
                 message: format!("assumed {description}: this encoding matches the arm's motion"),
                 evidence,
-                fix: format!(
-                    "declare it to make this a check: --declare {topic}={}",
-                    declare_value(form, found)
-                ),
+                fix: match stated {
+                    Some(stated) => format!(
+                        "the columns are named as {stated} (META001): rename or rewrite them; to audit the \
+                         numbers as they are: {declaration}"
+                    ),
+                    None => format!("declare it to make this a check: {declaration}"),
+                },
             };
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::fail(fault), Some(Estimate::misinterpretation("reading", is, read_as)))
@@ -284,12 +334,13 @@ fn describe_inferred(
     format!("{length}, {form}{angles}{vendor_names}")
 }
 
-fn declare_value(form: RotationEncoding, found: &PoseDiagnosis) -> String {
+/// Option that declares the inferred units and this rotation encoding.
+pub(super) fn declaration(topic: &str, form: RotationEncoding, found: &PoseDiagnosis) -> String {
     let (length, angle) = inferred_units(found);
     let is_degrees = matches!(form, RotationEncoding::Three(_)) && angle == AngleUnit::Degree;
     let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
-    format!("{form}{angle}{length}")
+    format!("--declare {topic}={form}{angle}{length}")
 }
 
 fn fault(

@@ -1,11 +1,8 @@
-use crate::checks::encoding::inferred_units;
+use crate::checks::encoding::{compare_labels, inferred_units};
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::geometry::{QuaternionOrderError, RotationEncoding};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 use crate::log::{Note, RotationLabels};
-use crate::run::named_encodings;
 
 rule! {
     /// Metadata contradict the data.
@@ -108,43 +105,18 @@ fn judge_units(pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
 
 /// `None` if column names or motion do not determine the rotation encoding.
 fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
-    /// Residual of a credible encoding, rad, and ratio of the named encoding's residual to the best.
-    const MAX_FOLLOWING_RESIDUAL_RAD: f64 = 0.17;
-    const MIN_CLEAR_RATIO: f64 = 2.0;
     let labels = pose.labels?;
-    let encoding =
-        pose.diagnosis.encoding.as_ref().ok().filter(|encoding| encoding.is_determined)?;
-    if encoding.best_rad > MAX_FOLLOWING_RESIDUAL_RAD {
-        return None;
-    }
-    let named = named_encodings(labels, &arm.name);
-    let coding = |encoding: &PoseEncoding| match encoding {
-        PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(*convention)),
-        PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
-            Some(RotationEncoding::Wxyz)
-        }
-        PoseEncoding::AsLogged => Some(RotationEncoding::Xyzw),
-        _ => None,
-    };
-    let best = coding(&encoding.best)?;
-    let is_named = |encoding: &PoseEncoding| {
-        coding(encoding).is_some_and(|named_coding| named.contains(&named_coding))
-    };
-    let limit_rad = MIN_CLEAR_RATIO * encoding.best_rad.max(Unit::Radian.noise_floor());
-    let is_close = |(encoding, rad): &(PoseEncoding, f64)| is_named(encoding) && *rad <= limit_rad;
-    let fits = named.contains(&best)
-        || encoding.equivalent.iter().any(is_named)
-        || encoding.ranked.iter().any(is_close);
-    let outcome = match fits {
+    let compared = compare_labels(arm, pose)?;
+    let (stated, actual) = (compared.stated, compared.actual);
+    let outcome = match compared.is_followed {
         true => Outcome::pass(),
-        false => {
-            let label = named.first().map_or_else(String::new, RotationEncoding::to_string);
-            let message = format!(
-                "rotation columns are named {} ({label}), but they follow the arm only as {best}",
+        false => contradicted(
+            format!(
+                "rotation columns are named {} ({stated}), but they follow the arm only as {actual}",
                 label_text(labels)
-            );
-            contradicted(message, format!("rename the columns, or write the rotation as {label}"))
-        }
+            ),
+            format!("rename the columns, or write the rotation as {stated}"),
+        ),
     };
     Some(pose.judged(outcome))
 }
