@@ -1,9 +1,11 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
+use crate::checks::encoding::declaration;
 use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{ArmEvidence, EulerEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Span, Unit};
+use crate::geometry::RotationEncoding;
 
 rule! {
     /// Euler angles are near gimbal lock.
@@ -15,6 +17,8 @@ rule! {
     /// ## Why it matters
     /// There, only the sum or difference of the outer angles is determined. They jump while the tool barely
     /// moves; interpolating, filtering, differentiating or averaging them creates false motion.
+    ///
+    /// A stay of half a second or more is a warning, a shorter passage is `info`.
     ///
     /// ## Evidence
     /// - `convention`: of the numbers.
@@ -46,8 +50,9 @@ const MAX_GIMBAL_MARGIN: Limit = Limit {
     value: 5.0 * DEGREE,
     what: "how close to gimbal lock counts as near",
 };
-/// Closer spans are merged, s.
-const MIN_SEPARATION_S: f64 = 0.5;
+/// Shorter spans are passages: at 20°/s, slow for a wrist, the arm crosses the 10° around the lock in this time. Closer
+/// spans are merged, s.
+const MIN_STAY_S: f64 = 0.5;
 /// Spans in the evidence.
 const MAX_LISTED: usize = 10;
 
@@ -73,7 +78,7 @@ struct NearSingularity {
 fn near_singularities(euler: &EulerEvidence, within_rad: f64) -> Vec<NearSingularity> {
     let mut found: Vec<NearSingularity> = Vec::new();
     for &(at, margin_rad) in euler.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
-        match found.last_mut().filter(|last| at.seconds_since(last.span.end) < MIN_SEPARATION_S) {
+        match found.last_mut().filter(|last| at.seconds_since(last.span.end) < MIN_STAY_S) {
             Some(last) => {
                 (last.span.end, last.samples) = (at, last.samples + 1);
                 last.nearest_rad = last.nearest_rad.min(margin_rad);
@@ -110,28 +115,53 @@ fn judge(
     let share = samples as f64 / euler.margins_rad.len() as f64;
     let min_rad = euler.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
     let longest = found.iter().max_by(|a, b| a.span.seconds().total_cmp(&b.span.seconds()));
+    let nearest = found.iter().min_by(|a, b| a.nearest_rad.total_cmp(&b.nearest_rad));
     let (limit, percent) = (Unit::Radian.show(within_rad), 100.0 * share);
-    let outcome = match longest {
+    let fault = |severity, message: String| Fault {
+        cause: Cause::Pictured(Picture::Stream),
+        severity,
+        title: "Euler angles near gimbal lock",
+        message,
+        evidence: Evidence::default(),
+        fix: format!("log {topic} as quaternions"),
+    };
+    let outcome = match longest.zip(nearest) {
         None => Outcome::pass(),
+        Some((longest, nearest)) if longest.span.seconds() < MIN_STAY_S => {
+            let times = match found.len() {
+                1 => "once".to_owned(),
+                times => format!("{times} times"),
+            };
+            let message = format!(
+                "{convention} passes within {limit} of gimbal lock {times}, for less than {}; nearest by {} at {}",
+                Unit::Second.show(MIN_STAY_S),
+                Unit::Radian.show(min_rad),
+                case.evidence.moment(nearest.span.start),
+            );
+            match stream.is_undeclared {
+                true => Outcome::pass_with_remark(message),
+                false => Outcome::fail(fault(Severity::Info, message)),
+            }
+        }
         // Numbers without a declared convention violate none.
-        Some(_) if stream.is_undeclared => Outcome::Inconclusive(format!(
-            "not checked: its convention is not declared, and as {convention} {percent:.1} % of the samples are \
-             within {limit} of gimbal lock; declare it with --declare {topic}={convention}"
-        )),
-        Some(longest) => Outcome::fail(Fault {
-            cause: Cause::Pictured(Picture::Stream),
-            severity: Severity::Warning,
-            title: "Euler angles near gimbal lock",
-            message: format!(
+        Some(_) if stream.is_undeclared => {
+            let form = RotationEncoding::Three(convention);
+            Outcome::Inconclusive(format!(
+                "not checked: its convention is not declared, and as {convention} {percent:.1} % of the samples \
+                 are within {limit} of gimbal lock; declare it with {}",
+                declaration(topic, form, &stream.diagnosis)
+            ))
+        }
+        Some((longest, _)) => {
+            let message = format!(
                 "{convention} is within {limit} of gimbal lock in {percent:.1} % of the samples, longest for \
                  {} from {} on; the nearest sample is at {}",
                 Unit::Second.show(longest.span.seconds()),
                 case.evidence.moment(longest.span.start),
                 Unit::Radian.show(min_rad),
-            ),
-            evidence: Evidence::default(),
-            fix: format!("log {topic} as quaternions"),
-        }),
+            );
+            Outcome::fail(fault(Severity::Warning, message))
+        }
     };
     let spans: Vec<Value> = found
         .iter()
@@ -155,6 +185,8 @@ fn judge(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::checks::testing::{POSE, clean_run, evaluate_rule};
+    use crate::finding::{CheckRow, Finding, Status};
     use crate::geometry::Convention;
     use crate::time::Stamp;
 
@@ -174,5 +206,46 @@ mod tests {
         let first = Span { start: at(10), end: at(15) };
         assert_eq!(found[0], NearSingularity { span: first, samples: 4, nearest_rad: 0.02 });
         assert_eq!((found.len(), found[1].nearest_rad), (2, 0.01));
+    }
+
+    /// Of a stream that is at the lock during `near`, tenths of a second.
+    fn judged(near: std::ops::Range<i64>, is_undeclared: bool) -> (CheckRow, Vec<Finding>) {
+        let mut run = clean_run();
+        run.start = Some(Stamp::from_nanos(0));
+        let pose = &mut run.robots[0].poses[0];
+        pose.is_undeclared = is_undeclared;
+        let margin = |tenth: i64| if near.contains(&tenth) { 0.07 } else { 0.3 };
+        let margins =
+            (0..400).map(|tenth| (Stamp::from_nanos(tenth * 100_000_000), margin(tenth))).collect();
+        pose.euler =
+            Some(EulerEvidence { convention: Some(Convention::RPY), margins_rad: margins });
+        let (mut rows, findings) = evaluate_rule(&ORD006, &run);
+        let at = rows.iter().position(|row| row.subject.topic.as_deref() == Some(POSE));
+        (rows.swap_remove(at.expect("a row")), findings)
+    }
+
+    #[test]
+    fn a_passage_is_no_stay() {
+        let (_, findings) = judged(100..101, false);
+        let [passage] = findings.as_slice() else { panic!("{findings:?}") };
+        assert_eq!(passage.severity, Severity::Info);
+        assert_eq!(
+            passage.message,
+            "euler:xyz passes within 5° of gimbal lock once, for less than 500 ms; nearest by 4.01° at +10.00 s"
+        );
+        let (_, findings) = judged(100..107, false);
+        let [stay] = findings.as_slice() else { panic!("{findings:?}") };
+        assert_eq!(stay.severity, Severity::Warning);
+        assert!(stay.message.contains("longest for 600 ms from +10.00 s on"), "{}", stay.message);
+    }
+
+    #[test]
+    fn only_a_stay_leaves_an_undeclared_convention_open() {
+        let (row, findings) = judged(100..101, true);
+        assert_eq!((row.status, findings.len()), (Status::Pass, 0));
+        let (row, findings) = judged(100..107, true);
+        assert_eq!((row.status, findings.len()), (Status::Inconclusive, 0));
+        let reason = row.reason.unwrap_or_default();
+        assert!(reason.ends_with("declare it with --declare /pose=euler:xyz"), "{reason}");
     }
 }
