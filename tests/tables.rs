@@ -519,6 +519,20 @@ fn a_corrected_encoding_is_not_compared_with_the_names_of_columns() {
 }
 
 #[test]
+fn a_coupled_joint_is_corrected() {
+    let mut rows = CLEAN.rows();
+    rows.iter_mut().for_each(|row| row[3] -= row[2]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    write_columns(&path, "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw", &rows, 1..8 + JOINTS);
+    let [before, after] = audit_and_correct(&path, "ur5e");
+    assert_eq!(fault_codes(&before), ["ORD009"], "{:?}", before.findings);
+    assert!(after.findings.is_empty(), "{:?}", after.findings);
+    let is_noted = |note: &str| note.contains("elbow_joint by 1.00000 times shoulder_lift_joint");
+    assert!(after.log.notes.iter().any(|note| is_noted(&note.note)), "{:?}", after.log.notes);
+}
+
+#[test]
 fn joints_in_percent_are_not_taken_for_degrees() {
     let shares = Table { joint_factor: 100.0 / 3.0, ..CLEAN };
     let report = report_on_table(&shares, Some("ur5e"));

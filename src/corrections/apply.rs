@@ -14,7 +14,7 @@ use crate::geometry::{LengthScale, Misread, Pose, RotationEncoding, rotation_fro
 use crate::log::Log;
 use crate::report::Trouble;
 use crate::robot::JointKind;
-use crate::run::{Arm, Declaration, JointStateCorrection, PoseSource, Run};
+use crate::run::{Arm, CoupledColumn, Declaration, JointStateCorrection, PoseSource, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
@@ -184,6 +184,17 @@ impl GivenCorrections<'_> {
                 joint_correction.factor[column] *= joint.factor.unwrap_or(1.0);
             }
         }
+        for joint in &self.corrections.joints {
+            let is_robot = joint.robot.as_ref().is_none_or(|robot| arm.name == *robot);
+            let Some(coupling) = joint.coupling.as_ref().filter(|_| is_robot) else { continue };
+            let Some(coupled) = column(&joint.name) else { continue };
+            let by = column(&coupling.joint).ok_or_else(|| {
+                let (name, other) = (&joint.name, &coupling.joint);
+                self.error(format!("coupling of '{name}': its arm has no joint '{other}'"))
+            })?;
+            let factor = coupling.factor;
+            joint_correction.couplings.push(CoupledColumn { column: coupled, by, factor });
+        }
         Ok(joint_correction)
     }
 
@@ -193,8 +204,10 @@ impl GivenCorrections<'_> {
             let offset = turned.or(joint.offset_m.map(|m| Unit::Metre.show(m)));
             let factor = joint.factor.map(|factor| format!("a factor of {factor:.5}"));
             let offset = offset.map(|offset| format!("an offset of {offset}"));
-            let both: Vec<String> = factor.into_iter().chain(offset).collect();
-            format!("corrected: {} by {}", joint.name, both.join(" and "))
+            let coupling = joint.coupling.as_ref();
+            let coupling = coupling.map(|it| format!("{:.5} times {}", it.factor, it.joint));
+            let parts: Vec<String> = factor.into_iter().chain(offset).chain(coupling).collect();
+            format!("corrected: {} by {}", joint.name, parts.join(" and "))
         });
         let topics = self.corrections.topics.iter().map(|topic| {
             format!("corrected: {} by its {}", topic.name, topic.parts().join(", its "))

@@ -3,7 +3,7 @@ use super::context::{
     CorrectionContext, finding_label, misinterpretation_text, no_value, value_with_interval,
 };
 use super::corrections_file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection,
+    AxesCorrection, Corrections, CouplingCorrection, FrameCorrection, JointOrder, TopicCorrection,
 };
 use super::dataset;
 use super::frames::{FixedFrame, model_stem, slug};
@@ -118,6 +118,15 @@ impl CorrectionPlan {
                 Ok((misinterpretation_text(finding)?, vec![OFFSETS_FILE, CORRECTIONS_FILE]))
             }
             Cause::JointScale(joints) => self.add_joint_scale(context, finding, joints),
+            Cause::JointCoupling { with, factor } => {
+                let (value, ci95) = value_with_interval(Unit::One, factor)?;
+                let name = finding.subject.joint.clone().ok_or_else(no_value)?;
+                let robot = context.robot_of(finding, &name);
+                self.corrections.joint(&name, robot).coupling =
+                    Some(CouplingCorrection { joint: with.clone(), factor: value, ci95 });
+                let what = format!("{value:.5} times {with} is added");
+                Ok((what, vec![OFFSETS_FILE, CORRECTIONS_FILE]))
+            }
             Cause::JointOrder { is, read_as } => {
                 let topic = finding.subject.topic.clone().ok_or_else(no_value)?;
                 let order = JointOrder { is: is.clone(), read_as: read_as.clone() };

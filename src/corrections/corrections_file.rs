@@ -39,7 +39,8 @@ pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
 
-/// Zero and scale of a joint: `q_true = factor · q_reported + offset`.
+/// Zero, scale and coupling of a joint: `q_true = factor · q_reported + offset`, and `coupling.factor · q` of the joint to
+/// which it is coupled.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointCorrection {
@@ -61,6 +62,23 @@ pub struct JointCorrection {
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "length")]
     pub offset_m: Option<f64>,
     /// 95 % interval, in the offset's unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+    /// Other joint that moves it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coupling: Option<CouplingCorrection>,
+}
+
+/// Joint to which another one is coupled.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CouplingCorrection {
+    /// Driving joint.
+    pub joint: String,
+    /// For its scaled positions and velocities, without its offset.
+    #[serde(deserialize_with = "finite_number")]
+    pub factor: f64,
+    /// 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
 }
@@ -224,12 +242,16 @@ mod convention_name {
     }
 }
 
-fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+fn finite_number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     let value = f64::deserialize(from)?;
     match value.is_finite() {
-        true => Ok(Some(value)),
+        true => Ok(value),
         false => Err(D::Error::custom(format!("{value} is not a finite number"))),
     }
+}
+
+fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    finite_number(from).map(Some)
 }
 
 /// Absolute value at most `most`.
@@ -277,7 +299,7 @@ fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Er
 
 const HEADER: &str = "\
 # Corrections, to be applied with `poseaudit audit LOG --corrections FILE`.
-# Joint: q_true = factor * q_reported + offset. Latency: a sample stamped t was taken at t - latency.
+# Joint: q_true = factor * q_reported + offset, and coupling.factor * q of coupling.joint. Latency: a sample stamped t was taken at t - latency.
 # Frames: `a_from_b` maps coordinates in b to coordinates in a; lengths in m, angles in rad.
 
 ";
@@ -325,7 +347,8 @@ impl Corrections {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
             let offsets = [joint.offset_rad, joint.offset_m].iter().flatten().count();
-            if offsets > 1 || (offsets == 0 && joint.factor.is_none()) {
+            let is_empty = offsets == 0 && joint.factor.is_none() && joint.coupling.is_none();
+            if offsets > 1 || is_empty {
                 return Some(format!("joint '{name}' needs one of offset_rad and offset_m"));
             }
             if joint.factor == Some(0.0) {
@@ -419,6 +442,11 @@ mod tests {
             ci95: Some([-0.0105, -0.0104]),
             factor: Some(-1.0),
             factor_ci95: Some([-1.001, -0.999]),
+            coupling: Some(CouplingCorrection {
+                joint: "shoulder".to_owned(),
+                factor: 1.0,
+                ci95: Some([0.999, 1.001]),
+            }),
         });
         let topic = corrections.topic("/tcp \"odd\"");
         (topic.latency_s, topic.skew) = (Some(0.022), Some(2e-4));
@@ -451,6 +479,11 @@ mod tests {
                 "NaN is not a finite number",
             ),
             ("[[joint]]\nname = \"a\"\noffset_rad = 30\n", "c.toml:4", "out of range"),
+            (
+                "[[joint]]\nname = \"a\"\ncoupling = {joint = \"b\", factor = inf}\n",
+                "c.toml:4",
+                "inf is not a finite number",
+            ),
             ("[[topic]]\nname = \"/t\"\nlatency_s = 1e9\n", "c.toml:4", "the maximum is 3600 s"),
             ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"t\"\n", "c.toml", "twice"),
             ("[[joint]]\nname = \"a\"\n", "c.toml", "needs one of"),

@@ -17,6 +17,8 @@ struct ColumnCorrections {
     numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
     /// Latency per column, s.
     latency_s: BTreeMap<String, f64>,
+    /// Joints that need the numbers of others.
+    coupled: Vec<String>,
 }
 
 /// `None` if the files are not a dataset, or if a loader cannot correct any finding.
@@ -36,6 +38,10 @@ pub(super) fn python_module(
         for (number, joint) in joints.joints.iter().enumerate() {
             let own = corrections.joints.iter().find(|own| own.name == joint.name);
             let Some(own) = own else { continue };
+            if own.coupling.is_some() {
+                columns.coupled.push(own.name.clone());
+                continue;
+            }
             // Position = scale * number + from.
             let [scale, from] = joints.conversions.get(number).copied().unwrap_or([degrees, 0.0]);
             let factor = own.factor.unwrap_or(1.0);
@@ -67,6 +73,13 @@ impl ColumnCorrections {
             return None;
         }
         let mut text = MODULE_HEADER.to_owned();
+        for joint in &self.coupled {
+            let joint = quote_line(joint);
+            let _ = writeln!(
+                text,
+                "\n# Not corrected here: {joint} is coupled to another joint (corrections.toml)."
+            );
+        }
         text += "\n# Column: {number: (factor, offset)}; true = factor * logged + offset, in the unit of the column.\n";
         text += "NUMBERS = {\n";
         for (column, numbers) in &self.numbers {
@@ -156,6 +169,9 @@ mod tests {
         let text = columns.text().expect("a module");
         assert!(text.contains("\n    \"observation.state\": {2: (1.0, 0.5), 4: (-1.0, 0.0)},\n"));
         assert!(text.contains("\n    \"observation.\\\"pose\": 0.06,\n"));
+        columns.coupled.push("j3".to_owned());
+        let text = columns.text().expect("a module");
+        assert!(text.contains("\n# Not corrected here: \"j3\" is coupled to another"), "{text}");
         // Python does not have `\u{…}` escapes.
         columns.latency_s.insert("a\u{202e}\u{1}b".to_owned(), 0.5);
         let text = columns.text().expect("a module");

@@ -7,7 +7,7 @@ use super::collect::{
     CONVENTIONS_FILE, CORRECTIONS_FILE, CorrectedFinding, CorrectionPlan, JOINTS_FILE,
     LATENCIES_FILE, MODULE_FILE, OFFSETS_FILE, PATCHED_MODEL, TRANSFORMS_FILE,
 };
-use super::corrections_file::JointCorrection;
+use super::corrections_file::{CouplingCorrection, JointCorrection};
 use super::frames::{escape_xml, model_stem};
 use crate::geometry::CodeLine;
 use crate::report::markdown::escape_prose;
@@ -118,7 +118,7 @@ impl CorrectionPlan {
         };
         add(
             OFFSETS_FILE,
-            "offsets to add to the reported joint positions",
+            "offsets, factors and couplings of the reported joint positions",
             !self.corrections.joints.is_empty(),
         );
         add(LATENCIES_FILE, "latency of each topic", self.latencies().is_some());
@@ -149,15 +149,24 @@ impl CorrectionPlan {
         }
         let mut text = "\
 # Zero offsets of joints: q_true = q_reported + offset (rad; m for a prismatic joint). A joint with a
-# factor has q_true = factor * q_reported + offset.
+# factor has q_true = factor * q_reported + offset. A joint that is coupled to another one, `with`, has
+# with_factor times the position of that joint added.
 # ci95 is the 95 % interval. Either add the offset to the reported position or use the patched model,
 # not both.
 joints:
 "
         .to_owned();
         for joint in &self.corrections.joints {
-            let JointCorrection { name, robot, factor, factor_ci95, offset_rad, offset_m, ci95 } =
-                joint;
+            let JointCorrection {
+                name,
+                robot,
+                factor,
+                factor_ci95,
+                offset_rad,
+                offset_m,
+                ci95,
+                coupling,
+            } = joint;
             let _ = writeln!(text, "  {}:", quote_line(name));
             if let Some(robot) = robot {
                 let _ = writeln!(text, "    robot: {}", quote_line(robot));
@@ -171,6 +180,11 @@ joints:
             }
             push_interval(&mut text, "factor_ci95", *factor_ci95);
             push_interval(&mut text, "ci95", *ci95);
+            if let Some(CouplingCorrection { joint, factor, ci95 }) = coupling {
+                let _ = writeln!(text, "    with: {}", quote_line(joint));
+                let _ = writeln!(text, "    with_factor: {factor}");
+                push_interval(&mut text, "with_factor_ci95", *ci95);
+            }
         }
         Some(text)
     }

@@ -19,7 +19,7 @@ pub(crate) use apply::GivenCorrections;
 #[cfg(feature = "fix")]
 pub(crate) use collect::CorrectionPlan;
 pub use corrections_file::{
-    Corrections, FrameCorrection, JointCorrection, JointOrder, TopicCorrection,
+    Corrections, CouplingCorrection, FrameCorrection, JointCorrection, JointOrder, TopicCorrection,
 };
 #[cfg(feature = "fix")]
 pub(crate) use fix_files::{FIX_FILES, model_files};

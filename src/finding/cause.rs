@@ -20,6 +20,13 @@ pub enum Cause {
     JointUnit(f64),
     /// Wrong scales, in the order of the chain.
     JointScale(Vec<JointScaleCorrection>),
+    /// Joint coupled to another: `q_true = q_reported + factor · q_with`.
+    JointCoupling {
+        /// Driving joint.
+        with: String,
+        /// Factor.
+        factor: Measured,
+    },
     /// Positions published under other joints' names.
     JointOrder {
         /// In the order of the numbers.
@@ -126,6 +133,7 @@ impl Cause {
             Cause::JointZero { .. }
             | Cause::JointUnit(_)
             | Cause::JointScale(_)
+            | Cause::JointCoupling { .. }
             | Cause::JointOrder { .. }
             | Cause::DhConvention(_)
             | Cause::Latency(_)

@@ -86,13 +86,26 @@ pub struct JointStateCorrection {
     pub factor: Vec<f64>,
     /// Offset added to the scaled positions, rad or m.
     pub offset: Vec<f64>,
+    /// Joints that others move too.
+    pub couplings: Vec<CoupledColumn>,
+}
+
+/// Column to which `factor` times the scaled values of the column `by` are added.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoupledColumn {
+    /// Driven joint.
+    pub column: usize,
+    /// Driving joint.
+    pub by: usize,
+    /// Per radian of the driving joint.
+    pub factor: f64,
 }
 
 impl JointStateCorrection {
     /// No correction.
     pub fn identity(joints: usize) -> Self {
         let from = (0..joints).collect();
-        Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
+        Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints], couplings: Vec::new() }
     }
 
     /// Whether there is no correction.
@@ -109,6 +122,11 @@ impl JointStateCorrection {
                 corrected.q[start + joint] = factor * track.q[start + from] + self.offset[joint];
                 corrected.qd[start + joint] = factor * track.qd[start + from];
             }
+            for coupling in &self.couplings {
+                let (from, gain) = self.driver(coupling);
+                corrected.q[start + coupling.column] += gain * track.q[start + from];
+                corrected.qd[start + coupling.column] += gain * track.qd[start + from];
+            }
         }
         corrected
     }
@@ -116,13 +134,28 @@ impl JointStateCorrection {
     /// Corrected samples of each joint.
     pub fn apply_to_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
         let corrected = self.from.iter().enumerate().map(|(joint, &from)| {
-            let mut samples = samples[from].clone();
+            let mut own = samples[from].clone();
             let (factor, offset) = (self.factor[joint], self.offset[joint]);
-            samples.position.to_mut().iter_mut().for_each(|q| *q = factor * *q + offset);
-            samples.velocity.to_mut().iter_mut().for_each(|qd| *qd *= factor);
-            samples
+            own.position.to_mut().iter_mut().for_each(|q| *q = factor * *q + offset);
+            own.velocity.to_mut().iter_mut().for_each(|qd| *qd *= factor);
+            for coupling in self.couplings.iter().filter(|coupling| coupling.column == joint) {
+                let (from, gain) = self.driver(coupling);
+                let [positions, velocities] = samples[from].at_times_of(&own);
+                own.position.to_mut().iter_mut().zip(positions).for_each(|(q, by)| *q += gain * by);
+                own.velocity
+                    .to_mut()
+                    .iter_mut()
+                    .zip(velocities)
+                    .for_each(|(qd, by)| *qd += gain * by);
+            }
+            own
         });
         corrected.collect()
+    }
+
+    /// Column with the driving joint's positions, and their factor in the coupled joint's.
+    fn driver(&self, coupling: &CoupledColumn) -> (usize, f64) {
+        (self.from[coupling.by], coupling.factor * self.factor[coupling.by])
     }
 }
 
@@ -442,4 +475,35 @@ pub(super) fn same_chain(robot: &Robot, old: &Chain) -> Option<Chain> {
 fn joint_columns(joint_names: &[String], chain: &Chain) -> Option<Vec<usize>> {
     let column = |name: &String| joint_names.iter().position(|known| known == name);
     chain.joint_names().iter().map(column).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::borrow::Cow;
+
+    #[test]
+    fn a_coupled_joint_moves_with_the_scaled_positions_of_its_driver() {
+        let correction = JointStateCorrection {
+            factor: vec![1.0, 2.0],
+            offset: vec![0.0, 0.5],
+            couplings: vec![CoupledColumn { column: 0, by: 1, factor: -1.0 }],
+            ..JointStateCorrection::identity(2)
+        };
+        let [q, qd] = [vec![1.0, 0.25], vec![0.5, 0.125]];
+        let track = JointTrack { t_s: vec![0.0], dof: 2, q, qd, noise: Vec::new() };
+        let corrected = correction.apply(&track);
+        assert_eq!((corrected.q, corrected.qd), (vec![0.5, 1.0], vec![0.25, 0.25]));
+
+        // The driver is sampled at other times.
+        let samples = |t_s: &[f64], position: &[f64]| JointSamples {
+            t_s: t_s.into(),
+            position: Cow::Owned(position.to_vec()),
+            velocity: Cow::Owned(vec![0.0; t_s.len()]),
+        };
+        let driven = samples(&[0.0, 0.5, 1.0, 1.5], &[1.0; 4]);
+        let corrected = correction.apply_to_samples(&[driven, samples(&[0.0, 1.0], &[0.0, 0.25])]);
+        assert_eq!(*corrected[0].position, [1.0, 0.75, 0.5, 0.5]);
+        assert_eq!(*corrected[1].position, [0.5, 1.0]);
+    }
 }

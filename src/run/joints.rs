@@ -5,7 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::stream::{Columns, JointColumn, JointColumns, JointSequence, JointTrack, sample_noise};
+use crate::stream::{
+    Columns, JointColumn, JointColumns, JointSequence, JointTrack, bracket, sample_noise,
+};
 use crate::time::Stamp;
 
 use super::Run;
@@ -164,6 +166,28 @@ impl JointSamples<'_> {
     /// Whether two joints have the same times.
     pub fn has_same_times(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
+    }
+
+    /// Positions and velocities at the times of another joint: linear between samples, constant beyond them.
+    pub(super) fn at_times_of(&self, other: &Self) -> [Vec<f64>; 2] {
+        let own = [&self.position, &self.velocity];
+        let (Some(first), Some(last)) = (self.t_s.first(), self.t_s.last()) else {
+            return own.map(|values| vec![f64::NAN; values.len()]);
+        };
+        if self.has_same_times(other) {
+            return own.map(|values| values.to_vec());
+        }
+        own.map(|values| {
+            let mut left = 0;
+            let value_at = |t_s: &f64| {
+                let t_s = t_s.clamp(*first, *last);
+                let Some(at) = bracket(&self.t_s, t_s, &mut left) else { return values[0] };
+                let interval_s = (self.t_s[at + 1] - self.t_s[at]).max(f64::MIN_POSITIVE);
+                let share = (t_s - self.t_s[at]) / interval_s;
+                values[at] + share * (values[at + 1] - values[at])
+            };
+            other.t_s.iter().map(value_at).collect()
+        })
     }
 
     /// Times of all joints. `None` if they differ, or without joints.

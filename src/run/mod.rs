@@ -68,7 +68,7 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, JointStateCorrection, TfUnavailable};
+pub use arm::{Arm, CoupledColumn, JointStateCorrection, TfUnavailable};
 pub(crate) use assemble::{MAX_TOOL_M, MIN_RESIDUAL_RATIO};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, MissingRows, RateSpan, Rhythm, StreamExtent};

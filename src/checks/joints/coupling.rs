@@ -5,6 +5,9 @@ use crate::diagnosis::JointCoupling;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
+/// J3 and J2.
+const FANUC_COUPLING: (usize, usize) = (2, 1);
+
 pub(super) fn judge(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     couplings.filter_map(|coupling| judge_pair(arm, coupling)).collect()
@@ -23,14 +26,20 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<SubjectResu
         format!("{size:.5} · {with}")
     };
     let sign = if factor < 0.0 { "-" } else { "+" };
+    let is_fanuc = arm.name.to_lowercase().contains("fanuc")
+        && (coupling.column, coupling.by) == FANUC_COUPLING;
+    let vendor = if is_fanuc { " (FANUC controllers measure J3 from the horizon)" } else { "" };
     let message = if coupling.is_round() {
-        format!("{own} is measured from a different link: {with} must be {} it", sign_word(factor))
+        format!(
+            "{own} is measured from a different link{vendor}: {with} must be {} it",
+            sign_word(factor)
+        )
     } else {
         format!("{own} moves by {:.2} % of {with}'s motion in addition to its own", 100.0 * factor)
     };
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::Other,
+        cause: Cause::JointCoupling { with: with.clone(), factor: coupling.factor },
         title: "joints are coupled",
         message,
         evidence: Evidence {
@@ -38,7 +47,10 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<SubjectResu
             effect_m: Some(residuals.as_logged),
             ..Evidence::default()
         },
-        fix: format!("{own}_true = {own} {sign} {term}"),
+        fix: format!(
+            "{own}_true = {own} {sign} {term} (measured factor {}): compute it where the joint states are filled",
+            Unit::One.show_measured(&coupling.factor)
+        ),
     };
     let estimate = Estimate::scalar("joint coupling", Unit::One, &coupling.factor);
     let judged = SubjectResult::new(arm.joint_states(coupling.column), Outcome::fail(fault));
@@ -70,7 +82,12 @@ mod tests {
             let (_, findings) = evaluate_rule(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
             assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
-            assert_eq!(finding.fix, fix);
+            assert!(
+                finding.fix.starts_with(&format!("{fix} (measured factor ")),
+                "{}",
+                finding.fix
+            );
+            assert!(finding.cause.has_correction());
             let Some(Estimate::Scalar { value, joint, .. }) = &finding.estimate else {
                 panic!("{finding:?}")
             };

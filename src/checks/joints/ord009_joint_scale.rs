@@ -40,8 +40,9 @@ rule! {
     ///
     /// ## How to fix
     /// Scale the numbers where the joint states are filled, or correct the driver's `direction`, gear ratio
-    /// or encoder resolution. If the numbers are right, the axis in the robot's description is reversed;
-    /// the log cannot distinguish the two.
+    /// or encoder resolution. Compute a coupled joint from both positions. `--fix` writes the factors and
+    /// couplings, and `--corrections` applies them. If the numbers are right, the axis in the robot's
+    /// description is reversed; the log cannot distinguish the two.
     ///
     /// ## When it misleads
     /// A joint that barely moves shows neither sign nor scale. Only orientations show the last joint's

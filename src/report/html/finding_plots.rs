@@ -145,6 +145,7 @@ impl FindingContext<'_> {
             | Cause::LengthUnit(_)
             | Cause::JointUnit(_)
             | Cause::JointScale(_)
+            | Cause::JointCoupling { .. }
             | Cause::JointOrder { .. }
             | Cause::DhConvention(_)
             | Cause::TfDisagrees
