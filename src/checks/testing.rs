@@ -331,6 +331,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         reference_known: true,
         tip: "tool0".to_owned(),
         is_tip_declared: true,
+        is_tip_of_child_frame: false,
         is_of_reference_body: false,
         source_kind: PoseSourceKind::Unknown,
         proof: Ok(residual_check_of(1e-5, 1e-5)),

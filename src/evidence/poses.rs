@@ -20,6 +20,8 @@ pub struct PoseEvidence {
     pub tip: String,
     /// The tip is declared (`--tip`, child frame): an offset from it is a fault rather than the active TCP.
     pub is_tip_declared: bool,
+    /// The stream's child frame names the tip, so no option names another one.
+    pub is_tip_of_child_frame: bool,
     /// In a log without joint states: the caller or the log states that it is of the reference's body.
     pub is_of_reference_body: bool,
     /// Source of the poses.

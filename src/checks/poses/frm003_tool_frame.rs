@@ -30,7 +30,8 @@ rule! {
     /// If the links deviate from the model (MDL001), the interval includes their effect.
     ///
     /// ## How to fix
-    /// Set the controller's active TCP to the intended one, or name the stream's link with `--tip`.
+    /// Set the controller's active TCP to the intended one, or name the stream's link with `--tip`. If the stream's
+    /// child frame names the link, rename that frame, or correct the link's joint in the description.
     ///
     /// ## When it misleads
     /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active
@@ -179,14 +180,19 @@ fn fault(
             effect_m: Some(frame.translation_m.value),
             ..Evidence::default()
         },
-        fix: match stream.source_kind {
-            PoseSourceKind::External => format!(
+        fix: match (stream.source_kind, stream.is_tip_of_child_frame) {
+            (PoseSourceKind::External, _) => format!(
                 "the marker is at {tip} + {pose}: to compare further logs with it, add that frame to the model and pass \
                  it as --tip"
             ),
-            _ => format!(
-                "the stream reports a TCP at {tip} + {pose}: add that frame to the model and pass it as --tip, or set \
-                 the controller's TCP to zero"
+            (_, true) => format!(
+                "{} places {tip} at {tip} + {pose} of the model: rename its child_frame_id, or correct the joint of \
+                 {tip} in the description",
+                stream.topic()
+            ),
+            (_, false) => format!(
+                "the stream reports a TCP at {tip} + {pose}: add that frame to the model and pass it as --tip, or \
+                 set the controller's TCP to zero"
             ),
         },
     }
@@ -204,6 +210,28 @@ mod tests {
         arm.poses[0].is_tip_declared = tip_named;
         arm.poses[0].diagnosis.tool = Ok(FrameEstimate { is_chosen: true, ..frame(0.14) });
         evaluate_rule(&FRM003, &run).1.first().map(|finding| finding.severity)
+    }
+
+    #[test]
+    fn the_fix_can_be_applied_to_the_source_of_the_tip() {
+        let fix = |source_kind: PoseSourceKind, is_tip_of_child_frame: bool| {
+            let mut run = clean_run();
+            let pose = &mut run.robots[0].poses[0];
+            (pose.source_kind, pose.is_tip_of_child_frame) = (source_kind, is_tip_of_child_frame);
+            pose.diagnosis.tool = Ok(FrameEstimate { is_chosen: true, ..frame(0.14) });
+            evaluate_rule(&FRM003, &run)
+                .1
+                .first()
+                .map(|found| found.fix.clone())
+                .unwrap_or_default()
+        };
+        let of_controller = fix(PoseSourceKind::Controller, false);
+        assert!(of_controller.ends_with("or set the controller's TCP to zero"), "{of_controller}");
+        let of_tracker = fix(PoseSourceKind::External, false);
+        assert!(of_tracker.ends_with("pass it as --tip"), "{of_tracker}");
+        let of_transform = fix(PoseSourceKind::Controller, true);
+        assert!(of_transform.contains("rename its child_frame_id"), "{of_transform}");
+        assert!(!of_transform.contains("--tip"), "{of_transform}");
     }
 
     #[test]
