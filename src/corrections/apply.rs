@@ -14,7 +14,7 @@ use crate::geometry::{LengthScale, Misread, Pose, RotationEncoding, rotation_fro
 use crate::log::Log;
 use crate::report::Trouble;
 use crate::robot::JointKind;
-use crate::run::{Arm, CoupledColumn, Declaration, JointStateCorrection, PoseSource, Run};
+use crate::run::{Arm, CoupledColumn, Declaration, JointStateCorrection, PoseSource, Role, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
@@ -68,7 +68,9 @@ impl GivenCorrections<'_> {
             if streams().next().is_none() {
                 continue;
             }
-            if self.corrects_poses(correction) && streams().count() > 1 {
+            // /tf as a whole is not a stream of poses.
+            let of_poses = streams().filter(|stream| stream.role != Role::Tf);
+            if self.corrects_poses(correction) && of_poses.count() > 1 {
                 return Err(
                     self.error(format!("topic '{name}' contains the poses of several frames"))
                 );

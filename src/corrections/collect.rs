@@ -386,8 +386,11 @@ impl CorrectionPlan {
             (format!("{topic} has a different reference frame, {child}"), comment)
         } else {
             correction.tip_from_stream = frame;
-            let comment =
-                format!("frame whose poses {topic} contains: use it as its child_frame_id");
+            let usage = match context.has_child_frame(&topic) {
+                true => "use it as its child_frame_id",
+                false => "add its joint to the description, and name it with --tip",
+            };
+            let comment = format!("frame whose poses {topic} contains: {usage}");
             (format!("{topic} has a different tool frame, {child}"), comment)
         };
         correction.convention = correction.convention.or(convention);

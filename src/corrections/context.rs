@@ -21,13 +21,18 @@ impl CorrectionContext<'_> {
     /// Topic of a finding, if it holds a single stream.
     pub fn single_topic(&self, finding: &Finding) -> Result<String, String> {
         let topic = finding.subject.topic.clone().ok_or_else(no_value)?;
-        let streams = self.report.streams.iter().filter(|row| row.topic == topic).count();
-        match streams {
-            0 | 1 => Ok(topic),
-            _ => Err(format!(
+        match self.report.has_several_streams(&topic) {
+            false => Ok(topic),
+            true => Err(format!(
                 "{topic} holds several streams, which a correction cannot address separately"
             )),
         }
+    }
+
+    /// Whether messages of the topic name the frame whose poses they are.
+    pub fn has_child_frame(&self, topic: &str) -> bool {
+        let mut rows = self.report.streams.iter().filter(|row| row.topic == topic);
+        rows.any(|row| row.child_frame_id.is_some())
     }
 
     /// If several robots have a joint of this name.

@@ -112,6 +112,19 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// Whether its correction is of joints or their model, not of one stream.
+    pub fn is_of_joints(&self) -> bool {
+        matches!(
+            self,
+            Cause::JointZero { .. }
+                | Cause::JointUnit(_)
+                | Cause::JointScale(_)
+                | Cause::JointCoupling { .. }
+                | Cause::JointOrder { .. }
+                | Cause::DhConvention(_)
+        )
+    }
+
     /// Whether a value corrects the cause.
     pub fn has_correction(&self) -> bool {
         match self {
@@ -145,8 +158,8 @@ impl Cause {
             | Cause::Axes { .. }
             | Cause::ReferenceFrame(_)
             | Cause::ToolFrame(_)
-            | Cause::ImuMount(_)
-            | Cause::CameraMount { .. } => true,
+            | Cause::ImuMount(_) => true,
+            Cause::CameraMount { in_hand, parent, .. } => in_hand.is_some() && parent.is_some(),
         }
     }
 }

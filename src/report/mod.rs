@@ -33,8 +33,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
 use crate::finding::{
-    Cause, CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
+    CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
 };
+use crate::run::Role;
 use crate::time::Stamp;
 
 pub(crate) use comparisons::comparison_rows;
@@ -276,11 +277,21 @@ impl Report {
         format!("{call} {options}")
     }
 
+    /// Whether several streams share a topic, so that a correction of the topic is of none of them. /tf as a whole is not
+    /// one of them.
+    pub(crate) fn has_several_streams(&self, topic: &str) -> bool {
+        let is_of_topic = |row: &&StreamRow| row.topic == topic && row.role != Role::Tf.name();
+        self.streams.iter().filter(is_of_topic).count() > 1
+    }
+
     /// `None` if no value corrects a finding, or if the audit applies corrections already.
     fn fix_command(&self) -> Option<String> {
         let is_given = self.command_line.as_ref().is_some_and(|it| it.contains(" --corrections"));
-        let mut causes = self.findings.iter().map(|finding| &finding.cause);
-        (causes.any(Cause::has_correction) && !is_given)
+        let has_correction = |Finding { cause, subject, .. }: &Finding| {
+            let topic = subject.topic.as_deref().filter(|_| !cause.is_of_joints());
+            cause.has_correction() && !topic.is_some_and(|topic| self.has_several_streams(topic))
+        };
+        (self.findings.iter().any(has_correction) && !is_given)
             .then(|| self.command_with("--fix corrections"))
     }
 

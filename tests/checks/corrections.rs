@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::ord::misread;
-use crate::checks::recording::Message;
+use crate::checks::recording::{Field, Message};
 use crate::checks::zer::zero_offset;
 
 /// An audited log, its corrections, and its audit with them.
@@ -291,6 +291,42 @@ fn the_mount_of_an_imu_in_the_frame_of_its_link_is_a_new_frame() {
     assert!(command.contains("--frame-id tool0 --child-frame-id tool0_of_imu_data"), "{command}");
     assert!(command.contains("use it as its frame_id"), "{command}");
     assert!(mount.text("fixed_joints.xml").contains("<child link=\"tool0_of_imu_data\"/>"));
+}
+
+#[test]
+fn the_only_pose_in_tf_is_corrected() {
+    let corrected = CorrectedLog::audit(|log| {
+        log.run.pose.tip_from_stream = crate::checks::frm::tool_offset();
+        log.edit = Some(publish_poses_as_transforms);
+    });
+    corrected.assert_corrects(&["FRM003"], &[]);
+    let finding = &corrected.before.findings[0];
+    assert!(finding.fix.contains("rename its child_frame_id"), "{}", finding.fix);
+    let command = corrected.text("static_transforms.sh");
+    assert!(command.contains("--frame-id tool0 --child-frame-id tool0_of_tf"), "{command}");
+}
+
+/// Replaces the transforms of the joints by one from the base to the tool.
+fn publish_poses_as_transforms(messages: &mut Vec<Message>) {
+    let is_tf = |message: &Message| message.topic == TF;
+    let tf = messages.iter().find(|message| is_tf(message)).expect("transforms").clone();
+    messages.retain(|message| !is_tf(message));
+    for message in messages.iter_mut().filter(|message| message.topic == POSE) {
+        let (mut xyz, mut xyzw) = ([0.0; 3], [0.0; 4]);
+        for field in message.fields() {
+            match field {
+                Field::Xyz(at, _) => xyz = message.floats(at),
+                Field::Xyzw(at) => xyzw = message.floats(at),
+                Field::Stamp(_) => {}
+            }
+        }
+        // The number of transforms precedes their headers.
+        message.cdr.splice(4..4, [0; 4]);
+        message.become_transform("base", "tool0", xyz);
+        message.set_floats(message.cdr.len() - size_of_val(&xyzw), &xyzw);
+        (message.topic, message.type_name) = (tf.topic.clone(), tf.type_name.clone());
+        message.definition.clone_from(&tf.definition);
+    }
 }
 
 /// Replaces `imu_link`, with its zero byte, by a name that needs as much padding.
