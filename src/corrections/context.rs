@@ -31,8 +31,8 @@ impl CorrectionContext<'_> {
 
     /// Whether messages of the topic name the frame whose poses they are.
     pub fn has_child_frame(&self, topic: &str) -> bool {
-        let mut rows = self.report.streams.iter().filter(|row| row.topic == topic);
-        rows.any(|row| row.child_frame_id.is_some())
+        let mut streams = self.run.streams.iter().filter(|stream| stream.topic == topic);
+        streams.any(|stream| stream.logged_child_frame().is_some())
     }
 
     /// If several robots have a joint of this name.

@@ -395,7 +395,9 @@ impl PoseEvidenceOfArm<'_> {
             reference_known: source.reference_known,
             tip: source.chain.tip_name().to_owned(),
             is_tip_declared: source.tip_named,
-            is_tip_of_child_frame: stream.child_frame_id.ends_with(source.chain.tip_name()),
+            is_tip_of_child_frame: stream
+                .logged_child_frame()
+                .is_some_and(|child| child.ends_with(source.chain.tip_name())),
             is_of_reference_body: arm.trajectory.as_ref().is_some_and(|trajectory| {
                 are_of_one_body(&run.streams, [trajectory.stream, source.stream])
             }),

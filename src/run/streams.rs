@@ -89,6 +89,13 @@ impl Stream {
         self.columns.as_ref().map_or(0, Columns::not_finite)
     }
 
+    /// Child frame that its messages name, whatever link the caller names.
+    pub fn logged_child_frame(&self) -> Option<&str> {
+        let Some(Columns::Poses(poses)) = &self.columns else { return None };
+        let child = strip_slash(&poses.first()?.child_frame_id);
+        (!child.is_empty()).then_some(child)
+    }
+
     /// Whether it has positions without rotation: points, or three columns of a table.
     pub fn lacks_rotation(&self) -> bool {
         self.is_of_points() || self.has_position_columns()
