@@ -343,7 +343,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         declared: None,
         labels: None,
         named_units: crate::geometry::Units::default(),
-        is_of_table: false,
+        names_no_frame: false,
         unidentified_columns: Vec::new(),
         is_uncorrected: false,
         joint_axes: JointAxes::default(),

@@ -405,7 +405,7 @@ impl PoseEvidenceOfArm<'_> {
             euler,
             labels: stream.labels.filter(|_| is_undeclared),
             named_units: stream.named_units,
-            is_of_table: !stream.cells.is_empty(),
+            names_no_frame: stream.frame_id.is_empty() && !stream.cells.is_empty(),
             unidentified_columns: unidentified_columns(run, source),
             is_uncorrected: false,
             joint_axes: JointAxes::in_the_middle(&source.chain, &source.columns, &arm.joints),

@@ -42,8 +42,8 @@ pub struct PoseEvidence {
     pub labels: Option<RotationLabels>,
     /// Units according to column names.
     pub named_units: Units,
-    /// From table columns, which have no frame.
-    pub is_of_table: bool,
+    /// From table columns for which the caller names no frame.
+    pub names_no_frame: bool,
     /// Unidentified columns, possibly its rotation.
     pub unidentified_columns: Vec<String>,
     /// Transforms of the moving frame of its poses, if they are late.

@@ -33,6 +33,8 @@ rule! {
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///
     /// ## When it misleads
+    /// Columns of a table name no frame: half a turn about z is then `info`, because a UR has two bases.
+    ///
     /// A base rotated about the first joint's axis is indistinguishable from that joint's zero offset, which
     /// is preferred unless the angle is round; `indistinguishable` lists the alternative. A frame not fixed
     /// to the robot (a tracker's world) is estimated, never a fault. If the tool is also off and the tip
@@ -126,9 +128,8 @@ fn fault(
             ),
         };
     }
-    // Table columns may be in either base frame; neither contradicts a declaration.
-    let is_either_base =
-        stream.is_of_table && stream.is_undeclared && is_half_turn_about_z(&frame.pose);
+    // Table columns may be in either base frame, whether or not their encoding is declared.
+    let is_either_base = stream.names_no_frame && is_half_turn_about_z(&frame.pose);
     let severity = if is_either_base { Severity::Info } else { severity };
     let fix = if is_half_turn_about_z(&frame.pose) {
         format!(
@@ -159,8 +160,31 @@ fn is_half_turn_about_z(pose: &Pose) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{clean_run, evaluate_rule, frame};
+    use crate::checks::testing::{clean_run, evaluate_rule, frame, precise};
     use crate::finding::Status;
+    use crate::geometry::{Vec3, rotation_from_rotvec};
+    use std::f64::consts::PI;
+
+    #[test]
+    fn half_a_turn_is_a_fault_only_of_a_named_frame() {
+        let severity = |names_no_frame: bool| {
+            let mut run = clean_run();
+            let pose = &mut run.robots[0].poses[0];
+            pose.names_no_frame = names_no_frame;
+            let half_turn = rotation_from_rotvec(Vec3::z() * PI);
+            pose.diagnosis.reference = Ok(FrameEstimate {
+                pose: Pose::from_parts(Vec3::zeros().into(), half_turn),
+                rotation_rad: precise(PI),
+                p_value: 0.0,
+                is_chosen: true,
+                ..frame(0.0)
+            });
+            let (_, findings) = evaluate_rule(&FRM002, &run);
+            findings.first().map(|finding| finding.severity)
+        };
+        assert_eq!(severity(true), Some(Severity::Info));
+        assert_eq!(severity(false), Some(Severity::Error));
+    }
 
     #[test]
     fn a_frame_not_connected_to_the_robot_is_not_judged() {
