@@ -21,7 +21,7 @@ impl CorrectionContext<'_> {
     /// Topic of a finding, if it holds a single stream.
     pub fn single_topic(&self, finding: &Finding) -> Result<String, String> {
         let topic = finding.subject.topic.clone().ok_or_else(no_value)?;
-        match self.report.has_several_streams(&topic) {
+        match self.report.has_shared_topic(finding) {
             false => Ok(topic),
             true => Err(format!(
                 "{topic} holds several streams, which a correction cannot address separately"

@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
 use crate::finding::{
-    CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
+    Cause, CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
 };
 use crate::run::Role;
 use crate::time::Stamp;
@@ -277,20 +277,23 @@ impl Report {
         format!("{call} {options}")
     }
 
-    /// Whether several streams share a topic, so that a correction of the topic is of none of them. /tf as a whole is not
-    /// one of them.
-    pub(crate) fn has_several_streams(&self, topic: &str) -> bool {
-        let is_of_topic = |row: &&StreamRow| row.topic == topic && row.role != Role::Tf.name();
-        self.streams.iter().filter(is_of_topic).count() > 1
+    /// Whether a correction of the finding's topic would be of several streams. Frames are corrected in poses, not in /tf
+    /// as a whole.
+    pub(crate) fn has_shared_topic(&self, finding: &Finding) -> bool {
+        let Finding { cause, subject, .. } = finding;
+        let is_of_poses = matches!(cause, Cause::ReferenceFrame(_) | Cause::ToolFrame(_));
+        let is_corrected = |row: &&StreamRow| {
+            let is_of_topic = subject.topic.as_ref() == Some(&row.topic);
+            is_of_topic && !(is_of_poses && row.role == Role::Tf.name())
+        };
+        !cause.is_of_joints() && self.streams.iter().filter(is_corrected).count() > 1
     }
 
     /// `None` if no value corrects a finding, or if the audit applies corrections already.
     fn fix_command(&self) -> Option<String> {
         let is_given = self.command_line.as_ref().is_some_and(|it| it.contains(" --corrections"));
-        let has_correction = |Finding { cause, subject, .. }: &Finding| {
-            let topic = subject.topic.as_deref().filter(|_| !cause.is_of_joints());
-            cause.has_correction() && !topic.is_some_and(|topic| self.has_several_streams(topic))
-        };
+        let has_correction =
+            |found: &Finding| found.cause.has_correction() && !self.has_shared_topic(found);
         (self.findings.iter().any(has_correction) && !is_given)
             .then(|| self.command_with("--fix corrections"))
     }
@@ -542,8 +545,9 @@ impl fmt::Display for Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::finding::Subject;
-    use serde_json::Map;
+    use crate::finding::{Evidence, Subject};
+    use crate::geometry::Pose;
+    use serde_json::{Map, json};
 
     fn row(code: &'static str, status: Status, indistinguishable: bool) -> CheckRow {
         CheckRow {
@@ -557,6 +561,43 @@ mod tests {
             is_indistinguishable: indistinguishable,
             is_exempt: false,
         }
+    }
+
+    #[test]
+    fn corrections_are_offered_only_if_a_finding_has_one() {
+        let row = |role: &&str| -> StreamRow {
+            let fields = json!({"topic": "/tf", "type": "", "role": role, "reason": "", "count": 1, "dropped": 0});
+            serde_json::from_value(fields).expect("a row")
+        };
+        let is_offered = |cause: Cause, roles: &[&str]| {
+            let finding = Finding {
+                code: "FRM003",
+                severity: Severity::Error,
+                title: "",
+                message: String::new(),
+                subject: Subject { topic: Some("/tf".to_owned()), ..Subject::default() },
+                cause,
+                segment: None,
+                estimate: None,
+                evidence: Evidence::default(),
+                fix: String::new(),
+                start_ns: None,
+                end_ns: None,
+            };
+            let streams = roles.iter().map(row).collect();
+            Report { findings: vec![finding], streams, ..Report::empty() }.fix_command().is_some()
+        };
+        let frame = || Cause::ToolFrame(Pose::identity());
+        assert!(is_offered(frame(), &["tf", "pose"]));
+        assert!(!is_offered(frame(), &["tf", "pose", "pose"]));
+        assert!(!is_offered(Cause::Other, &["pose"]));
+        let camera = |in_hand| Cause::CameraMount {
+            in_hand,
+            parent: Some("tool0".to_owned()),
+            pose: Pose::identity(),
+        };
+        assert!(is_offered(camera(Some(true)), &["target"]));
+        assert!(!is_offered(camera(None), &["target"]));
     }
 
     fn verdict_of(checks: Vec<CheckRow>) -> Verdict {
