@@ -39,8 +39,7 @@ pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
 
-/// Zero, scale and coupling of a joint: `q_true = factor · q_reported + offset`, and `coupling.factor · q` of the joint to
-/// which it is coupled.
+/// Zero, scale and coupling of a joint: `q_true = factor · q_reported + offset + coupling.factor · q_driver`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointCorrection {
@@ -299,7 +298,8 @@ fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Er
 
 const HEADER: &str = "\
 # Corrections, to be applied with `poseaudit audit LOG --corrections FILE`.
-# Joint: q_true = factor * q_reported + offset, and coupling.factor * q of coupling.joint. Latency: a sample stamped t was taken at t - latency.
+# Joint: q_true = factor * q_reported + offset; coupling.factor times the position of coupling.joint is added.
+# Latency: a sample stamped t was taken at t - latency.
 # Frames: `a_from_b` maps coordinates in b to coordinates in a; lengths in m, angles in rad.
 
 ";
