@@ -19,7 +19,7 @@ use crate::solver::noise::{Noise, rms};
 use crate::solver::robust::robust_sigma;
 use crate::{LatencyProfile, Measured, PiecewiseLatency};
 use ground::geometry::{Pose, Vec3};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Rms tip change by a calibration.
 pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
@@ -125,8 +125,9 @@ pub(crate) struct Timing {
 pub(crate) fn timing_beside_link_deviations(stream: StreamAt, has_skew: bool) -> Option<Timing> {
     let StreamAt { observations, state, .. } = stream;
     let free = if has_skew { FreeAlongside::Skew } else { FreeAlongside::Nothing };
-    let fit = LinkFrameChanges::fit_with(stream, free, LINK_PRIOR_M).fit;
-    let covariance = fit.normal.matrix.clone().cholesky()?.inverse();
+    let changes = LinkFrameChanges::fit_with(stream, free, LINK_PRIOR_M);
+    let covariance = changes.covariance()?;
+    let fit = changes.fit;
     let dof = (fit.normal.independent - fit.step.len() as f64).max(1.0);
     let measured = |column: usize, before: f64| Measured {
         value: before + fit.step[column],
@@ -151,7 +152,8 @@ pub(crate) fn rms_of_kinds(residuals: &[Vec<Vec3>]) -> [f64; 2] {
 
 /// Maximum a posteriori changes of link frames.
 struct LinkFrameChanges {
-    samples: usize,
+    /// The samples, with the residuals after the changes.
+    frames: Linear,
     /// Changes in the order of [`link_frames`], with their priors in the normal equations.
     fit: ReweightedFit,
     /// Standard deviations of the prior.
@@ -178,7 +180,7 @@ impl LinkFrameChanges {
 
     /// With further parameters, and link deviations of about `link_m`.
     fn fit_with(stream: StreamAt, with: FreeAlongside, link_m: f64) -> Self {
-        let frames = link_frames(stream, stream.observations.rows(MAX_SAMPLES), with);
+        let mut frames = link_frames(stream, stream.observations.rows(MAX_SAMPLES), with);
         // Wide for those free without a calibration, such as an undeclared tool.
         let usual = |i: usize| match i % 6 {
             _ if is_free_parameter(i, stream) => FREE_PRIOR,
@@ -192,7 +194,17 @@ impl LinkFrameChanges {
             }
             normal.full_step()
         });
-        Self { samples: frames.len(), fit, usual }
+        frames.residual.clone_from(&fit.residuals);
+        Self { frames, fit, usual }
+    }
+
+    /// Sandwich covariance with the prior: noise may depend on the motion, as that of delays that scatter does.
+    fn covariance(&self) -> Option<DMatrix<f64>> {
+        let [information, scores] = self.frames.covariance_parts(&self.fit.weights);
+        let precisions = self.usual.iter().map(|usual| usual.powi(-2));
+        let prior = DMatrix::from_diagonal(&DVector::from_iterator(self.usual.len(), precisions));
+        let inverse = (information + &prior).cholesky()?.inverse();
+        Some(&inverse * (scores + prior) * &inverse)
     }
 
     /// Complexity penalty with deviations of the likeliest size (MacKay 1992).
@@ -232,7 +244,7 @@ impl LinkFrameChanges {
     /// correlation, which is closer to the truth.
     fn gain_over(&self, without_change: &[Weight]) -> f64 {
         let gains = self.fit.weights.iter().zip(without_change).map(|(weight, other)| {
-            let independent = weight.noise.independent(self.samples);
+            let independent = weight.noise.independent(self.frames.len());
             2.0 * independent * (other.noise.sigma / weight.noise.sigma).ln()
         });
         gains.sum()
