@@ -18,7 +18,8 @@ pub struct ImuConventions {
     pub degrees: Option<UnitResiduals>,
     /// Accelerometer unit, if not m/s².
     pub accel: Option<AccelUnitError>,
-    /// Median specific force at rest, m/s² in the detected unit. `None` if the arm hardly rests or the force is zero.
+    /// Median specific force at rest, or over the run if the arm hardly rests and the force is steady, m/s² in the detected
+    /// unit. `None` otherwise, or if it is zero.
     pub force_at_rest_m_s2: Option<f64>,
     /// Gyro saturation.
     pub saturation: Option<GyroSaturation>,

@@ -63,8 +63,9 @@ pub fn relative_pose_error(reference: &[Pose], estimate: &[Pose]) -> Option<Traj
 pub fn rigid_alignment(reference: &[Pose], estimate: &[Pose]) -> Option<Pose> {
     let positions =
         |poses: &[Pose]| poses.iter().map(|pose| pose.translation.vector).collect::<Vec<Vec3>>();
-    let (reference, estimate) = (positions(reference), positions(estimate));
-    let covariance = products(&estimate, &reference) / reference.len() as f64;
+    let count = reference.len().min(estimate.len());
+    let (reference, estimate) = (positions(&reference[..count]), positions(&estimate[..count]));
+    let covariance = products(&estimate, &reference) / count as f64;
     if !covariance.iter().all(|value| value.is_finite()) {
         return None;
     }

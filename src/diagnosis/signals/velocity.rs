@@ -293,12 +293,6 @@ fn shape(
     if square <= by_noise {
         return VelocityShape::Zero;
     }
-    let mut recorded = joints[index].velocity.iter().copied().filter(|own| own.is_finite());
-    if let Some(first) = recorded.next()
-        && recorded.all(|own| own == first)
-    {
-        return VelocityShape::Constant(first);
-    }
     let errors = by.iter().zip(moved).map(|(by, moved)| by - moved);
     // As a share of the response's energy.
     let allowed = (MAX_RESIDUAL_RATIO * mean_square(errors) + by_noise) / square;
@@ -306,6 +300,12 @@ fn shape(
     let (gain, residual) = changes.gain(curve);
     if residual <= allowed {
         return VelocityShape::Scaled(gain);
+    }
+    let mut recorded = joints[index].velocity.iter().copied().filter(|own| own.is_finite());
+    if let Some(first) = recorded.next()
+        && recorded.all(|own| own == first)
+    {
+        return VelocityShape::Constant(first);
     }
     if square <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
         return VelocityShape::Zero;
