@@ -62,7 +62,7 @@ pub(crate) fn is_nominal(without_causes: StreamAt, with_causes: StreamAt, droppe
         return false;
     }
     let explained = with_causes.linearize(MAX_SAMPLES);
-    let saved = price(calibration.samples as f64) * dropped as f64;
+    let saved = price(calibration.frames.len() as f64) * dropped as f64;
     calibration.gain_over(&explained.weights()) + saved > calibration.price()
 }
 
@@ -91,7 +91,7 @@ pub(crate) fn is_unsteady_beside_links(
     }
     let constant = LinkFrameChanges::fit(logged.at(state, offsets));
     let unsteady = LinkFrameChanges::fit(steady.at(&steady_state, offsets));
-    let price = price(unsteady.samples as f64) * profile.parameters as f64;
+    let price = price(unsteady.frames.len() as f64) * profile.parameters as f64;
     let excess = |changes: &LinkFrameChanges| {
         [(0, FLOOR_M), (1, FLOOR_RAD)].map(|(kind, floor): (usize, f64)| {
             let Noise { sigma, share, .. } = unsteady.fit.weights[kind].noise;
