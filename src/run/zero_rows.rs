@@ -3,6 +3,8 @@
 //!
 //! No statistics are needed, unlike for outliers: measured joints are never all 0 between two jumps, at any share of the rows.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use crate::stream::{Columns, JointColumns};
@@ -37,7 +39,7 @@ pub(super) fn detect_zero_rows(
         let mut rows = clocks.rows(streams, index, 0);
         rows.sort_by_key(|(stamp, row)| (*stamp, joints.times.log[*row]));
         publishers::remove_second_publisher(publishers, index, 0, &mut rows);
-        zero_rows(index, joints, &rows)
+        zero_rows(index, joints, rows)
     };
     streams.par_iter().enumerate().filter_map(of).collect()
 }
@@ -99,9 +101,27 @@ fn is_zero(joints: &JointColumns, row: usize) -> bool {
     }) && count >= MIN_JOINTS
 }
 
+/// Rows of zeros of each set of joints that a message names: joints of other messages do not show whether these jump.
+fn zero_rows(stream: usize, joints: &JointColumns, rows: Rows) -> Option<Outliers> {
+    let mut by_joints: BTreeMap<Vec<bool>, Rows> = BTreeMap::new();
+    for row in rows {
+        let is_known = joints.joints.iter().map(|joint| joint.position[row.1].is_finite());
+        by_joints.entry(is_known.collect()).or_default().push(row);
+    }
+    let found = by_joints.values().filter_map(|rows| zero_rows_of_set(stream, joints, rows));
+    found.reduce(|one, other| {
+        let length_m = |found: &Outliers| found.largest_jump.length_m;
+        let (mut largest, other) =
+            if length_m(&one) < length_m(&other) { (other, one) } else { (one, other) };
+        largest.rows.extend(other.rows);
+        largest.rows.sort_unstable();
+        largest
+    })
+}
+
 /// Rows of zeros that the joints jump to and from. The log may start or end with zeros. A simulated arm also rests at 0, but
 /// moves there, and one that is reset to 0 moves on from there.
-fn zero_rows(stream: usize, joints: &JointColumns, rows: &Rows) -> Option<Outliers> {
+fn zero_rows_of_set(stream: usize, joints: &JointColumns, rows: &Rows) -> Option<Outliers> {
     let (zero, measured): (Vec<usize>, Vec<usize>) =
         (0..rows.len()).partition(|&at| is_zero(joints, rows[at].1));
     if zero.is_empty() {
@@ -185,7 +205,7 @@ mod tests {
         }
         let rows: Rows =
             (0..1000).map(|row| (Stamp::from_nanos(10_000_000 * row as i64), row)).collect();
-        zero_rows(0, &columns, &rows).map_or_else(Vec::new, |found| found.rows)
+        zero_rows(0, &columns, rows).map_or_else(Vec::new, |found| found.rows)
     }
 
     fn swing(t: f64) -> f64 {
@@ -208,6 +228,31 @@ mod tests {
             let at = |t: f64| is_zero((100.0 * t).round() as usize);
             assert_eq!(detect(swing, at), rows(is_zero));
         }
+    }
+
+    #[test]
+    fn joints_of_other_messages_do_not_make_zeros_jump() {
+        let rows: Rows =
+            (0..1000).map(|row| (Stamp::from_nanos(10_000_000 * row as i64), row)).collect();
+        // Messages of a swinging arm and of wheels at rest alternate.
+        let columns = |zeros_of_arm: &[usize]| {
+            let column = |name: &str, q: &dyn Fn(usize) -> f64| {
+                JointColumn::from_positions(name.into(), (0..1000).map(q).collect())
+            };
+            let arm = |row: usize| match row % 2 {
+                0 if zeros_of_arm.contains(&row) => 0.0,
+                0 => swing(0.01 * row as f64),
+                _ => f64::NAN,
+            };
+            let wheel = |row: usize| if row % 2 == 0 { f64::NAN } else { 0.0 };
+            let mut columns = JointColumns::default();
+            columns.joints.extend(["a", "b", "c"].map(|name| column(name, &arm)));
+            columns.joints.extend(["d", "e", "f"].map(|name| column(name, &wheel)));
+            columns
+        };
+        assert_eq!(zero_rows(0, &columns(&[]), rows.clone()), None);
+        let found = zero_rows(0, &columns(&[300, 302]), rows).expect("rows of zeros");
+        assert_eq!(found.rows, [300, 302]);
     }
 
     #[test]
