@@ -28,6 +28,11 @@ pub struct SampleFilter {
 impl SampleFilter {
     pub(super) fn new(streams: &[Stream], clocks: &StreamClocks) -> Self {
         let parts = collect_parts(streams);
+        let by_stamp = |stream, piece| {
+            let mut rows = clocks.rows(streams, stream, piece);
+            rows.sort_by_key(|(stamp, _)| *stamp);
+            rows
+        };
         let all_rows = |part: &Part<'_>| {
             let mut rows = clocks.rows(streams, part.stream, part.piece);
             rows.sort_by_key(|(stamp, row)| (*stamp, part.times.log[*row]));
@@ -35,7 +40,7 @@ impl SampleFilter {
         };
         let publishers = detect_publishers(&parts, &all_rows);
         let mut zeros = detect_zero_rows(streams, clocks, &publishers);
-        zeros.extend(poses_of_zero_rows(&parts, &all_rows, &zeros));
+        zeros.extend(poses_of_zero_rows(&parts, &by_stamp, &zeros));
         zeros.sort_by_key(|found| (found.stream, found.piece));
         let rows = |part: &Part<'_>| {
             let mut rows = all_rows(part);

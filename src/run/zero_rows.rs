@@ -11,7 +11,7 @@ use crate::stream::{Columns, JointColumns};
 use crate::time::Stamp;
 
 use super::outliers::{MAX_DURATION_S, Outliers};
-use super::part_series::{Part, PartValues, RowsOfPart};
+use super::part_series::{Part, PartValues};
 use super::pose_distance::PoseDistance;
 use super::poses::are_copied_stamps;
 use super::publishers::{self, TwoPublishers};
@@ -45,27 +45,26 @@ pub(super) fn detect_zero_rows(
 }
 
 /// Rows of poses that were computed from rows of zeros: those with their stamps, in streams that copy the stamps of the joint
-/// states.
+/// states. `rows` returns those of a stream's part, sorted by stamp; `parts` lack joint states with incomplete messages.
 pub(super) fn poses_of_zero_rows(
     parts: &[Part<'_>],
-    rows: RowsOfPart<'_>,
+    rows: &(dyn Fn(usize, usize) -> Rows + Sync),
     zeros: &[Outliers],
 ) -> Vec<Outliers> {
     let of_joints = |zeros: &Outliers| {
-        let joints = parts.iter().find(|part| part.stream == zeros.stream)?;
-        let rows = rows(joints);
+        let rows = rows(zeros.stream, zeros.piece);
         let stamps: Vec<Stamp> = rows.iter().map(|(stamp, _)| *stamp).collect();
         let is_zero = |(_, row): &&(Stamp, usize)| zeros.rows.binary_search(row).is_ok();
         let of_zeros: Vec<Stamp> = rows.iter().filter(is_zero).map(|(stamp, _)| *stamp).collect();
-        Some((stamps, of_zeros))
+        (stamps, of_zeros)
     };
-    let joints: Vec<(Vec<Stamp>, Vec<Stamp>)> = zeros.iter().filter_map(of_joints).collect();
+    let joints: Vec<(Vec<Stamp>, Vec<Stamp>)> = zeros.iter().map(of_joints).collect();
     if joints.is_empty() {
         return Vec::new();
     }
     let of_part = |part: &Part<'_>| {
         let PartValues::Poses(_) = part.values else { return None };
-        let all = rows(part);
+        let all = rows(part.stream, part.piece);
         let stamps: Vec<Stamp> = all.iter().map(|(stamp, _)| *stamp).collect();
         let (_, of_zeros) = joints.iter().find(|(of, _)| are_copied_stamps(&stamps, of))?;
         let is_of_zeros = |(stamp, _): &&(Stamp, usize)| of_zeros.binary_search(stamp).is_ok();
@@ -257,16 +256,14 @@ mod tests {
 
     #[test]
     fn poses_with_the_stamps_of_zeros_are_excluded() {
-        let (joints, poses) = (JointColumns::default(), PoseColumns::default());
-        let part = |stream, values| {
-            let times = &joints.times;
-            Part { stream, piece: 0, frame: None, is_table: false, times, values }
-        };
-        let parts = [part(0, PartValues::Joints(&joints)), part(1, PartValues::Poses(&poses))];
-        let rows = |_: &Part<'_>| -> Rows {
+        // Joint states with incomplete messages are no part.
+        let poses = PoseColumns::default();
+        let (times, values) = (&*poses.times, PartValues::Poses(&poses));
+        let part = Part { stream: 1, piece: 0, frame: None, is_table: false, times, values };
+        let rows = |_: usize, _: usize| -> Rows {
             (0..100).map(|row| (Stamp::from_nanos(1000 * row as i64), row)).collect()
         };
-        let found = poses_of_zero_rows(&parts, &rows, &[rows_of_part(0, 0, vec![3, 50])]);
+        let found = poses_of_zero_rows(&[part], &rows, &[rows_of_part(0, 0, vec![3, 50])]);
         assert_eq!(found, [rows_of_part(1, 0, vec![3, 50])]);
     }
 
