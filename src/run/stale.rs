@@ -31,7 +31,7 @@ pub(super) const SPEED_ROWS: usize = 4;
 /// Fewer joints may jump together, such as the fingers of a gripper.
 const MIN_LEAPING_JOINTS: usize = 3;
 
-/// Several joints that jump in one sample, without being frozen before.
+/// Several joints that jump in one sample, without all being frozen before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLeap {
     /// Index of the stream.
@@ -125,11 +125,14 @@ pub(super) fn detect_stale_joints<'s>(
         }
         let jumping = (0..count).filter(|joint| jump_rows[*joint].binary_search(&at).is_ok());
         let jumping: Vec<usize> = jumping.collect();
-        let before = found.len();
-        found.extend(jumping.iter().filter_map(|&joint| find(at, joint..joint + 1)));
-        if found.len() == before && jumping.len() >= MIN_LEAPING_JOINTS {
+        let frozen: Vec<StaleJoints> =
+            jumping.iter().filter_map(|&joint| find(at, joint..joint + 1)).collect();
+        // If others jump from a motion, those at rest were not frozen.
+        if jumping.len() >= MIN_LEAPING_JOINTS && frozen.len() < jumping.len() {
             let (stream, at) = (series.stream, rows[at + 1].0);
             leaps.push(JointLeap { stream, at, joints: jumping.len() });
+        } else {
+            found.extend(frozen);
         }
     }
     (found, leaps)
@@ -202,6 +205,18 @@ mod tests {
         columns.joints.push(joint.clone());
         assert!(detect_both(&columns).1.is_empty());
         columns.joints.push(joint);
+        let (frozen, leaps) = detect_both(&columns);
+        assert!(frozen.is_empty(), "{}", frozen.len());
+        assert!(matches!(leaps.as_slice(), [JointLeap { joints: 3, .. }]), "{leaps:?}");
+    }
+
+    #[test]
+    fn a_joint_at_rest_before_a_leap_of_all_is_not_frozen() {
+        let leap = |t: f64| if t < 8.0 { (t, 0.0) } else { (t, 0.3) };
+        let mut columns = swings(5e-5, leap);
+        columns.joints.push(columns.joints[0].clone());
+        let rests = swings(5e-5, |t| leap(if (6.0..8.0).contains(&t) { 6.0 } else { t }));
+        columns.joints.extend(rests.joints);
         let (frozen, leaps) = detect_both(&columns);
         assert!(frozen.is_empty(), "{}", frozen.len());
         assert!(matches!(leaps.as_slice(), [JointLeap { joints: 3, .. }]), "{leaps:?}");

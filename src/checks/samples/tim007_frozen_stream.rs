@@ -34,6 +34,7 @@ rule! {
     /// - A stream frozen until the end of the log may also be late and is not reported. The same applies
     ///   close to a rest of the arm, unless the stream's speeds determine its latency.
     /// - One joint that does not move right after its jump may have rested while its zero changed (ZER001).
+    /// - If three or more joints jump together and some moved until then, those at rest are not frozen (MOT003).
     /// - FRM001 checks transforms that do not move with the joints.
     /// - Without such a stream, joint states frozen until the end are indistinguishable from an arm at rest.
     /// - Long runs are checked in excerpts; `samples` counts those checked.
