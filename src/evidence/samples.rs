@@ -152,12 +152,11 @@ pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<FrozenSpan>>
             return None;
         }
         let mut found = stream_evidence(run, index, times.to_vec());
-        let only_joint = times.first().and_then(|first| first.joint);
-        let is_of_joint = times.iter().all(|found| found.joint == only_joint);
-        if let (Some(Columns::Joints(joints)), Some(joint), true) =
-            (&stream.columns, only_joint, is_of_joint)
+        if let Some(first) = times.first()
+            && let [joint] = first.joints.as_slice()
+            && times.iter().all(|span| span.joints == first.joints)
         {
-            found.subject.joint = joints.joints.get(joint).map(|joint| joint.name.clone());
+            found.subject.joint = Some(joint.clone());
         }
         Some(found)
     };

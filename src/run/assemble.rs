@@ -190,7 +190,12 @@ impl Run {
             not_audited,
             leaders: Vec::new(),
             undecided: Vec::new(),
-            frozen: sample_filter.stale.iter().map(|found| found.frozen).chain(frozen).collect(),
+            frozen: sample_filter
+                .stale
+                .iter()
+                .map(|found| found.frozen.clone())
+                .chain(frozen)
+                .collect(),
             tool_switching: Vec::new(),
             sample_filter,
             searched_for_frozen,

@@ -33,13 +33,13 @@ pub(super) const MAX_REST_MOTION: f64 = 5e-3;
 pub(super) const MAX_REST_SHARE: f64 = 0.01;
 
 /// A span with one repeated value while the arm moved.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FrozenSpan {
     /// Index of the stream.
     pub stream: usize,
-    /// Index of the only joint that is frozen.
-    pub joint: Option<usize>,
-    /// First stamp with the value.
+    /// Joints that are frozen while others move; empty if the whole stream is frozen.
+    pub joints: Vec<String>,
+    /// First stamp with the value, of the joint that is frozen longest.
     pub start: Stamp,
     /// Last stamp with the value.
     pub end: Stamp,
@@ -79,7 +79,7 @@ pub(super) fn remove_frozen(
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
             frozen.push(FrozenSpan {
                 stream,
-                joint: None,
+                joints: Vec::new(),
                 start,
                 end,
                 samples,
@@ -190,7 +190,7 @@ impl Run {
         let found = source.frozen_at_lags(joints, lags_s);
         self.frozen.extend(found.iter().map(|&(first, last, joint_motion)| FrozenSpan {
             stream: source.stream,
-            joint: None,
+            joints: Vec::new(),
             start: self.origin.shifted(source.track.t_s[first]),
             end: self.origin.shifted(source.track.t_s[last]),
             samples: last + 1 - first,

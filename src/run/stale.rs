@@ -76,6 +76,7 @@ pub(super) fn detect_stale_joints<'s>(
     let mut all_jumps = jump_rows.concat();
     all_jumps.sort_unstable();
     all_jumps.dedup();
+    // First row of the span that ends at a row, and the jump of the fastest joint after it.
     let find = |at: usize, joints: Range<usize>| {
         let is_still = |other: &usize| {
             joints.clone().all(|joint| {
@@ -104,35 +105,40 @@ pub(super) fn detect_stale_joints<'s>(
             return None;
         }
         let moved = joints.clone().map(|j| (q(at + 1, j) - q(at, j)).abs()).fold(0.0, f64::max);
+        Some((first, moved))
+    };
+    let stale = |at: usize, (first, moved): (usize, f64), frozen: &[usize]| {
         let mut stale_rows: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
         stale_rows.sort_unstable();
         let frozen = FrozenSpan {
             stream: series.stream,
-            joint: (joints.len() < count).then_some(joints.start),
-            start,
-            end,
+            joints: frozen.iter().map(|&joint| joints.joints[joint].name.clone()).collect(),
+            start: rows[first].0,
+            end: rows[at].0,
             samples: at + 1 - first,
             is_whole_stream: false,
             joint_motion: Some(moved),
         };
-        Some(StaleJoints { frozen, rows: stale_rows })
+        StaleJoints { frozen, rows: stale_rows }
     };
     let (mut found, mut leaps) = (Vec::new(), Vec::new());
     for at in all_jumps {
         if let Some(all) = find(at, 0..count) {
-            found.push(all);
+            found.push(stale(at, all, &[]));
             continue;
         }
         let jumping = (0..count).filter(|joint| jump_rows[*joint].binary_search(&at).is_ok());
         let jumping: Vec<usize> = jumping.collect();
-        let frozen: Vec<StaleJoints> =
-            jumping.iter().filter_map(|&joint| find(at, joint..joint + 1)).collect();
+        let (frozen, spans): (Vec<usize>, Vec<(usize, f64)>) =
+            jumping.iter().filter_map(|&joint| Some((joint, find(at, joint..joint + 1)?))).unzip();
         // If others jump from a motion, those at rest were not frozen.
         if jumping.len() >= MIN_LEAPING_JOINTS && frozen.len() < jumping.len() {
             let (stream, at) = (series.stream, rows[at + 1].0);
             leaps.push(JointLeap { stream, at, joints: jumping.len() });
-        } else {
-            found.extend(frozen);
+        } else if let Some(longest) =
+            spans.into_iter().reduce(|one, other| (one.0.min(other.0), one.1.max(other.1)))
+        {
+            found.push(stale(at, longest, &frozen));
         }
     }
     (found, leaps)
@@ -229,7 +235,7 @@ mod tests {
             let found = detect(&columns);
             let [one] = found.as_slice() else { panic!("{noise}: {}", found.len()) };
             assert!((one.frozen.samples as i64 - 200).abs() < 5, "{:?}", one.frozen);
-            let times: Vec<FrozenSpan> = found.iter().map(|one| one.frozen).collect();
+            let times: Vec<FrozenSpan> = found.iter().map(|one| one.frozen.clone()).collect();
             let within = times[0].start..=times[0].end;
             assert!(within.contains(&Stamp::from_nanos(6_000_000_000)));
             let mut rows: Rows = (0..2000).map(|row| (Stamp::default(), row)).collect();
@@ -241,12 +247,23 @@ mod tests {
     #[test]
     fn one_frozen_joint_among_moving_ones_is_detected() {
         let joint = |edit: &dyn Fn(f64) -> (f64, f64)| swings(5e-5, edit).joints.remove(0);
+        let from = |start_s: f64| {
+            let edit = move |t: f64| (if (start_s..6.5).contains(&t) { start_s } else { t }, 0.0);
+            JointColumn { name: format!("from {start_s}"), ..joint(&edit) }
+        };
         let mut columns = swings(5e-5, |t| (0.7 * t, 0.0));
-        columns.joints.push(joint(&|t| (if (5.0..6.5).contains(&t) { 5.0 } else { t }, 0.0)));
+        columns.joints.push(from(5.0));
         let found = detect(&columns);
         let [one] = found.as_slice() else { panic!("{}", found.len()) };
-        assert_eq!(one.frozen.joint, Some(1));
+        assert_eq!(one.frozen.joints, ["from 5"]);
         assert!((one.frozen.samples as i64 - 150).abs() < 5, "{:?}", one.frozen);
+        let (start, rows) = (one.frozen.start, one.rows.clone());
+        columns.joints.push(from(5.2));
+        let found = detect(&columns);
+        let [both] = found.as_slice() else { panic!("{}", found.len()) };
+        assert_eq!(both.frozen.joints, ["from 5", "from 5.2"]);
+        assert_eq!((both.frozen.start, &both.rows), (start, &rows));
+        columns.joints.pop();
         // A zero that is redefined at rest.
         columns.joints[1] = joint(&|t| (1.43, if t > 8.0 { 0.1 } else { 0.0 }));
         assert!(detect(&columns).is_empty());

@@ -35,14 +35,14 @@ impl Run {
             rows.sort_unstable();
             let frozen = FrozenSpan {
                 stream,
-                joint: None,
+                joints: Vec::new(),
                 start,
                 end,
                 samples: rows.len() + 1,
                 is_whole_stream: false,
                 joint_motion: None,
             };
-            self.frozen.push(frozen);
+            self.frozen.push(frozen.clone());
             self.sample_filter.stale.push(StaleJoints { frozen, rows });
         }
     }

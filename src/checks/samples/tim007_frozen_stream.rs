@@ -12,7 +12,7 @@ rule! {
     /// For at least 0.25 s and ten samples, a pose stream repeats one pose bit for bit with new stamps,
     /// although the arm moves. The check allows for latency. At no latency within the search range do the
     /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
-    /// throughout. Joint states, or one joint, are frozen if they stay constant within their noise for that long and
+    /// throughout. Joint states, or some joints, are frozen if they stay constant within their noise for that long and
     /// then jump amid a motion, or stay constant to the end of the log while all pose streams that followed the arm
     /// in its base frame move on.
     ///
@@ -21,8 +21,9 @@ rule! {
     /// as the motion in the meantime.
     ///
     /// ## Evidence
-    /// `times` lists each interval with its samples and the minimum motion of a joint in it. `count` is
-    /// their number. The estimate is the longest, in seconds. All other rules ignore these samples.
+    /// `times` lists each interval with its samples, the minimum motion of a joint in it, and the frozen `joints`
+    /// (empty if all are). `count` is their number. The estimate is the longest, in seconds. All other rules ignore
+    /// these samples.
     ///
     /// ## How to fix
     /// Find the source that stopped while another node repeated its last value: a driver that lost its
@@ -69,14 +70,25 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<FrozenSpan>>) -> SubjectResult
         2 => ", and once more".to_owned(),
         times => format!(", and {} more times", times - 1),
     };
-    let (title, source) = match &stream.subject.joint {
-        Some(joint) => (
+    let mut joints: Vec<&str> = Vec::new();
+    for joint in stream.iter().flat_map(|span| &span.joints) {
+        if !joints.contains(&joint.as_str()) {
+            joints.push(joint);
+        }
+    }
+    let is_of_joints = stream.iter().all(|span| !span.joints.is_empty());
+    let (title, source) = match joints.as_slice() {
+        _ if !is_of_joints => {
+            ("stream frozen while the arm moves", format!("source of {}", stream.subject.label()))
+        }
+        [joint] => (
             "a joint is frozen while it moves",
             format!("reading of {joint} in {}", stream.topic()),
         ),
-        None => {
-            ("stream frozen while the arm moves", format!("source of {}", stream.subject.label()))
-        }
+        joints => (
+            "joints are frozen while they move",
+            format!("reading of {} in {}", joints.join(", "), stream.topic()),
+        ),
     };
     let outcome = Outcome::fail(Fault {
         cause: Cause::Pictured(Picture::Stream),
@@ -96,6 +108,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<FrozenSpan>>) -> SubjectResult
             "end_ns": time.end.to_string(),
             "samples": time.samples,
             "moved": time.joint_motion,
+            "joints": time.joints,
         })
     });
     stream
@@ -103,4 +116,29 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<FrozenSpan>>) -> SubjectResult
         .estimated(Estimate::exact("stands still", Unit::Second.symbol(), seconds(longest)))
         .with_evidence("count", stream.len())
         .with_evidence("times", times.collect::<Vec<Value>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, evaluate_rule};
+
+    #[test]
+    fn joints_that_are_frozen_together_are_named_once() {
+        let mut run = clean_run();
+        let span = FrozenSpan {
+            stream: 0,
+            joints: vec!["elbow".to_owned(), "wrist".to_owned()],
+            start: run.origin.shifted(1.0),
+            end: run.origin.shifted(2.5),
+            samples: 150,
+            is_whole_stream: false,
+            joint_motion: Some(0.3),
+        };
+        run.frozen_intervals[0].value = vec![span];
+        let (_, findings) = evaluate_rule(&TIM007, &run);
+        assert_eq!(findings[0].title, "joints are frozen while they move");
+        assert!(findings[0].fix.contains("elbow, wrist"), "{findings:?}");
+        assert!(!findings[0].message.contains("once more"), "{findings:?}");
+    }
 }
