@@ -271,8 +271,8 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 }
 
 impl Assembly<'_> {
-    /// Standard error of a part's stamps against the joint states, s. Copied stamps have none, unless a coarse clock made
-    /// them equal.
+    /// Standard error of a part's stamps against the joint states, s. Copied stamps are of one clock and have none, unless it
+    /// is coarse and made them equal.
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize, are_copied: bool) -> f64 {
         if are_copied && self.timing.clocks.rounded_stamps(stream, piece).is_none() {
             return 0.0;
@@ -280,7 +280,11 @@ impl Assembly<'_> {
         let joints = arm.joint_sources.first().map(|joint| joint.stream);
         let trajectory = || arm.trajectory.as_ref().map(|trajectory| trajectory.stream);
         let joints = joints.or_else(trajectory).unwrap_or(stream);
-        self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
+        let (clocks, parts) = (&self.timing.clocks, [(joints, 0), (stream, piece)]);
+        match are_copied {
+            true => clocks.rounding_error_s(parts[0], parts[1]),
+            false => clocks.alignment_error_s(parts[0], parts[1]),
+        }
     }
 
     fn assign(&mut self, stream: usize) -> Result<(), RunError> {

@@ -466,6 +466,11 @@ impl StreamClocks {
             let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
             alignment.map_or(0.0, |alignment| alignment.spread_s)
         };
+        f64::hypot(spread(a), spread(b)).hypot(self.rounding_error_s(a, b))
+    }
+
+    /// Standard error between two streams of one clock by rounding, s.
+    pub fn rounding_error_s(&self, a: (usize, usize), b: (usize, usize)) -> f64 {
         // Standard deviation of a uniform error. Rows of one table share theirs. A clock may round to the nearest tick or
         // down, so the offset is unknown by half a tick.
         let rounding = |part: (usize, usize)| {
@@ -475,7 +480,7 @@ impl StreamClocks {
             };
             (resolution_s + 0.5 * tick_s) / 3_f64.sqrt()
         };
-        let rounding_s = match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
+        match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
             (Some(one), Some(other)) if one.group == other.group => {
                 match one.is_of_table && other.is_of_table {
                     true => 0.0,
@@ -484,8 +489,7 @@ impl StreamClocks {
                 }
             }
             _ => f64::hypot(rounding(a), rounding(b)),
-        };
-        f64::hypot(spread(a), spread(b)).hypot(rounding_s)
+        }
     }
 
     /// Sets time range and rate of streams, and counts unstamped rows.
@@ -520,5 +524,53 @@ impl StreamClocks {
                 (stream.start, stream.end, stream.rate_hz) = (Some(start), Some(end), rate_hz);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::clock::{Alignment, Epoch, HeaderStamps};
+
+    /// Two streams with the same stamps, rounded and aligned to the clock of others.
+    fn clocks() -> StreamClocks {
+        let alignment = Alignment { offset_nanos: 0, spread_s: 0.5, is_by_motion: false };
+        let clock = |stream| StreamClock {
+            stream,
+            frame: None,
+            clock: Clock::Header,
+            stamps: HeaderStamps::Sound,
+            rows: 100,
+            zero: 0,
+            begins_at_zero: false,
+            valid_range: 0..=i64::MAX,
+            out_of_range: 0,
+            log_minus_header_s: None,
+            soonest_s: None,
+            epoch: Epoch::Foreign,
+            alignment: Some(alignment),
+        };
+        let rounded = |stream| RoundedStamps {
+            stream,
+            tick_s: 0.01,
+            shared_rows: 0,
+            resolution_s: 0.001,
+            is_of_table: false,
+            piece: 0,
+            group: 0,
+        };
+        StreamClocks {
+            all: vec![clock(0), clock(1)],
+            index_of_part: vec![vec![0], vec![1]],
+            rounded: vec![rounded(0), rounded(1)],
+            ticks_s: HashMap::new(),
+        }
+    }
+
+    #[test]
+    fn the_error_of_rounding_excludes_that_of_the_alignment() {
+        let clocks = clocks();
+        assert!(clocks.rounding_error_s((0, 0), (1, 0)) < 0.001);
+        assert!(clocks.alignment_error_s((0, 0), (1, 0)) > 0.5);
     }
 }
