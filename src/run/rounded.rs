@@ -26,8 +26,10 @@ pub struct RoundedStamps {
     pub shared_rows: usize,
     /// Maximum error, s, besides a constant offset of up to half a tick.
     pub resolution_s: f64,
-    /// Whether the rows are those of a table, so that its columns share their times whatever the stamps.
+    /// Whether the rows are those of a table, whose columns share their times whatever the stamps.
     pub is_of_table: bool,
+    /// [`Stream::file`].
+    pub(super) file: Option<usize>,
     /// Index of the stream's part.
     pub(super) piece: usize,
     /// Group of parts with the same stamps, as in one table.
@@ -61,8 +63,7 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
     for (index, stream) in streams.iter().enumerate() {
         for (piece, raw) in parts_of_use(stream, clock) {
             if let Some((group, restored)) = known.get(raw) {
-                let is_of_table = stream.is_from_table || stream.read_as.is_some();
-                found.push(restored.report((index, piece), is_of_table, *group));
+                found.push(restored.report((index, piece), stream, *group));
             }
         }
     }
@@ -122,20 +123,16 @@ struct RestoredStamps {
 }
 
 impl RestoredStamps {
-    fn report(
-        &self,
-        (stream, piece): (usize, usize),
-        is_of_table: bool,
-        group: usize,
-    ) -> RoundedStamps {
+    fn report(&self, (index, piece): (usize, usize), of: &Stream, group: usize) -> RoundedStamps {
         let Self { tick_s, shared, resolution_s, .. } = *self;
         RoundedStamps {
-            stream,
+            stream: index,
             piece,
             tick_s,
             shared_rows: shared,
             resolution_s,
-            is_of_table,
+            is_of_table: of.is_from_table || of.read_as.is_some(),
+            file: of.file,
             group,
         }
     }

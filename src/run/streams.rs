@@ -482,7 +482,8 @@ impl StreamClocks {
         };
         match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
             (Some(one), Some(other)) if one.group == other.group => {
-                match one.is_of_table && other.is_of_table {
+                let are_tables = one.is_of_table && other.is_of_table;
+                match are_tables && one.file.is_some() && one.file == other.file {
                     true => 0.0,
                     // Both clocks round alike, but equal stamps do not show equal times.
                     false => f64::hypot(one.resolution_s, other.resolution_s) / 3_f64.sqrt(),
@@ -532,8 +533,8 @@ mod tests {
     use super::*;
     use crate::run::clock::{Alignment, Epoch, HeaderStamps};
 
-    /// Two streams with the same stamps, rounded and aligned to the clock of others.
-    fn clocks() -> StreamClocks {
+    /// Two tables with the same stamps, rounded and aligned to the clock of others, in these files.
+    fn clocks(files: [usize; 2]) -> StreamClocks {
         let alignment = Alignment { offset_nanos: 0, spread_s: 0.5, is_by_motion: false };
         let clock = |stream| StreamClock {
             stream,
@@ -555,7 +556,8 @@ mod tests {
             tick_s: 0.01,
             shared_rows: 0,
             resolution_s: 0.001,
-            is_of_table: false,
+            is_of_table: true,
+            file: Some(files[stream]),
             piece: 0,
             group: 0,
         };
@@ -569,8 +571,15 @@ mod tests {
 
     #[test]
     fn the_error_of_rounding_excludes_that_of_the_alignment() {
-        let clocks = clocks();
+        let clocks = clocks([1, 2]);
         assert!(clocks.rounding_error_s((0, 0), (1, 0)) < 0.001);
         assert!(clocks.alignment_error_s((0, 0), (1, 0)) > 0.5);
+    }
+
+    #[test]
+    fn only_columns_of_one_table_share_their_times() {
+        let error_s = |files| clocks(files).rounding_error_s((0, 0), (1, 0));
+        assert_eq!(error_s([1, 1]), 0.0);
+        assert!(error_s([1, 2]) > 0.0);
     }
 }
