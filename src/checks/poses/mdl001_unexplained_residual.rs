@@ -109,6 +109,9 @@ fn settle(subject: &Subject) -> &'static str {
     }
 }
 
+/// No motion resolves it.
+const REDUCE_NOISE: &str = "reduce the noise of the poses or of their stamps, or record longer";
+
 /// The text report adds the command for its log.
 const CALIBRATE: &str =
     "estimate all links from the log with `poseaudit calibrate LOG --out calibrated`";
@@ -302,7 +305,7 @@ fn judge(
             rotation_not_checked(&stream.unidentified_columns)
         }
         Outcome::Evaluated(Ruling::Pass(_)) if uncertain.is_some() => {
-            Outcome::Inconclusive(format!("{}; {}", uncertain.unwrap_or_default(), settle(subject)))
+            Outcome::Inconclusive(format!("{}; {REDUCE_NOISE}", uncertain.unwrap_or_default()))
         }
         outcome => outcome,
     };
@@ -456,8 +459,7 @@ fn undetermined_reason(
     let (error_text, largest_text) = (sizes(&residual.error), describe_residual(case, residual));
     let why = match (open, residual.error.length.whole.noise) {
         ([], Some(noise)) if !residual.is_significant() => format!(
-            "no finding explains it, and it is not significantly above the noise of {}; reduce the noise of the \
-             poses or of their stamps, or record longer",
+            "no finding explains it, and it is not significantly above the noise of {}; {REDUCE_NOISE}",
             Unit::Metre.show(noise.rms)
         ),
         ([], Some(_)) => format!("no finding explains it; {settle}"),

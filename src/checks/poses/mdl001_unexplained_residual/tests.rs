@@ -92,7 +92,9 @@ fn a_residual_with_an_interval_beyond_the_threshold_is_inconclusive() {
         }
     });
     assert!(findings.is_empty() && row.status == Status::Inconclusive, "{row:?}");
-    assert!(row.reason.is_some_and(|why| why.starts_with("uncertainty ±15.9 mm")));
+    let why = row.reason.expect("a reason");
+    assert!(why.starts_with("uncertainty ±15.9 mm") && why.contains("reduce the noise"), "{why}");
+    assert_eq!(resolving_motion(&why), None);
 }
 
 #[test]
