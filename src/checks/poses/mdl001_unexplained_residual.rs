@@ -66,8 +66,8 @@ rule! {
     /// joint states.
     ///
     /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9) or
-    /// repeats with the configuration. Otherwise the rule and the run are inconclusive, as if the interval of the residual
-    /// is wider than the threshold.
+    /// repeats with the configuration. Otherwise the rule and the run are inconclusive. They are also inconclusive if the
+    /// half-width of the residual's 95 % interval exceeds the threshold.
     ///
     /// ## How to fix
     /// Use the arm's calibrated description (for a UR, `calibration.yaml` extracted from the controller).
