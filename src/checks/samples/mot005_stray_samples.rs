@@ -157,8 +157,8 @@ fn fault(
             severity: Severity::Warning,
             title: "all joints jump to exactly 0",
             message: format!(
-                "all joints are exactly 0 in {rows} of {all} samples, by up to {shown}{when} from where they are \
-                 before and after; excluded from all other checks{others}"
+                "all joints jump to exactly 0 in {rows} of {all} samples, by up to {shown}{when}; excluded from all \
+                 other checks{others}"
             ),
             evidence: Evidence::default(),
             fix: format!(
