@@ -46,7 +46,7 @@ pub struct Outliers {
     pub stream: usize,
     /// Child frame of the transform.
     pub frame: Option<String>,
-    /// The joint.
+    /// The joint; of rows of zeros, the one that jumps farthest.
     pub joint: Option<String>,
     /// Whether all joints are exactly 0 in these rows.
     pub are_zeros: bool,

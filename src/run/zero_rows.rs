@@ -88,13 +88,14 @@ fn rows_of_part(stream: usize, piece: usize, rows: Vec<usize>) -> Outliers {
     }
 }
 
-fn known_positions(joints: &JointColumns, row: usize) -> impl Iterator<Item = f64> {
-    joints.joints.iter().map(move |joint| joint.position[row]).filter(|q| q.is_finite())
+fn known_positions(joints: &JointColumns, row: usize) -> impl Iterator<Item = (&str, f64)> {
+    let named = joints.joints.iter().map(move |joint| (joint.name.as_str(), joint.position[row]));
+    named.filter(|(_, q)| q.is_finite())
 }
 
 fn is_zero(joints: &JointColumns, row: usize) -> bool {
     let mut count = 0;
-    known_positions(joints, row).all(|q| {
+    known_positions(joints, row).all(|(_, q)| {
         count += 1;
         q == 0.0
     }) && count >= MIN_JOINTS
@@ -136,16 +137,18 @@ fn zero_rows_of_set(stream: usize, joints: &JointColumns, rows: &Rows) -> Option
         };
         nearby.windows(2).map(speed).fold(0.0, f64::max)
     };
-    // Distance of a jump between a measured row and the next row of zeros. Leaving and stopping at rest takes twice an
-    // acceleration of half the time.
+    // Joint that jumps farthest between a measured row and the next row of zeros, and how far. Leaving and stopping at rest
+    // takes twice an acceleration of half the time.
     let jump = |measured: usize, zero: usize, speed: f64| {
-        let far = known_positions(joints, rows[measured].1).map(f64::abs).fold(0.0, f64::max);
+        let (joint, far) = known_positions(joints, rows[measured].1)
+            .map(|(joint, q)| (joint, q.abs()))
+            .max_by(|a, b| a.1.total_cmp(&b.1))?;
         let step_s = seconds(measured, zero);
         let own = (MAX_ACCELERATION * step_s.powi(2) / 4.0).max(MIN_STEP_RATIO * speed * step_s);
-        (step_s <= MAX_DURATION_S && far > MIN_JUMP.max(own)).then_some(far)
+        (step_s <= MAX_DURATION_S && far > MIN_JUMP.max(own)).then_some((joint, far))
     };
     let mut found = Vec::new();
-    let mut largest: Option<(f64, Stamp)> = None;
+    let mut largest: Option<((&str, f64), Stamp)> = None;
     let mut is_moving = false;
     for next in 0..=measured.len() {
         let (before, after) = measured.split_at(next);
@@ -161,7 +164,7 @@ fn zero_rows_of_set(stream: usize, joints: &JointColumns, rows: &Rows) -> Option
             after.first().map(|&first| (first, zeros.end - 1, fastest(after))),
         ];
         let sides: Vec<_> = sides.into_iter().flatten().collect();
-        let jumps: Vec<(f64, Stamp)> = sides
+        let jumps: Vec<((&str, f64), Stamp)> = sides
             .iter()
             .filter_map(|&(measured, zero, speed)| {
                 Some((jump(measured, zero, speed)?, rows[zero].0))
@@ -171,13 +174,14 @@ fn zero_rows_of_set(stream: usize, joints: &JointColumns, rows: &Rows) -> Option
             continue;
         }
         is_moving |= sides.iter().any(|(.., speed)| *speed > 0.0);
-        largest = jumps.into_iter().chain(largest).max_by(|a, b| a.0.total_cmp(&b.0));
+        largest = jumps.into_iter().chain(largest).max_by(|a, b| a.0.1.total_cmp(&b.0.1));
         found.extend(zeros.map(|at| rows[at].1));
     }
     found.sort_unstable();
     // Commands of a hand or a simulation may jump to 0, between rows without any noise.
-    let (length_m, at) = largest.filter(|_| is_moving)?;
+    let ((joint, length_m), at) = largest.filter(|_| is_moving)?;
     Some(Outliers {
+        joint: Some(joint.to_owned()),
         largest_jump: PoseDistance { length_m, angle_rad: 0.0 },
         largest_at: Some(at),
         ..rows_of_part(stream, 0, found)
@@ -245,13 +249,15 @@ mod tests {
             };
             let wheel = |row: usize| if row % 2 == 0 { f64::NAN } else { 0.0 };
             let mut columns = JointColumns::default();
-            columns.joints.extend(["a", "b", "c"].map(|name| column(name, &arm)));
+            columns.joints.extend(["a", "c"].map(|name| column(name, &arm)));
+            columns.joints.push(column("rail", &|row| 2.0 * arm(row)));
             columns.joints.extend(["d", "e", "f"].map(|name| column(name, &wheel)));
             columns
         };
         assert_eq!(zero_rows(0, &columns(&[]), rows.clone()), None);
         let found = zero_rows(0, &columns(&[300, 302]), rows).expect("rows of zeros");
         assert_eq!(found.rows, [300, 302]);
+        assert_eq!(found.joint.as_deref(), Some("rail"));
     }
 
     #[test]

@@ -22,7 +22,7 @@ rule! {
     /// - `count`: number of samples that are outliers; joints that jump together are one sample.
     /// - `length_m` (in the joint's unit for a joint), `angle_rad`: distance of the farthest; `at_ns`: its
     ///   stamp.
-    /// - `parts`: affected joints or transforms; with `zeros`, the rows of zeros.
+    /// - `parts`: affected joints or transforms; with `zeros`, the rows of zeros and the joint that jumps farthest.
     /// - The estimate is the longest jump as logged, or the largest angle if no position jumps.
     ///
     /// ## How to fix
@@ -85,7 +85,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
     };
     let subject = match reported().collect::<Vec<_>>().as_slice() {
         [only] => Subject {
-            joint: only.joint.clone(),
+            joint: only.joint.clone().filter(|_| !only.are_zeros),
             frame: only.frame.clone().or_else(|| stream.subject.frame.clone()),
             ..stream.subject.clone()
         },
@@ -127,7 +127,7 @@ impl OutlierEvidence {
     /// Jump of a part.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
         let is_turning = |joint: &String| !self.sliding.contains(joint);
-        let is_angle = part.are_zeros || part.joint.as_ref().is_some_and(is_turning);
+        let is_angle = part.joint.as_ref().is_some_and(is_turning);
         match (is_angle, part.largest_jump.length_m) {
             (true, by) => (Unit::Radian, by),
             (false, 0.0) => (Unit::Radian, part.largest_jump.angle_rad),
