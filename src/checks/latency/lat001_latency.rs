@@ -49,7 +49,7 @@ rule! {
     ///   late.
     /// - Stamps truncated to the tick of a coarse clock are early by half a tick; the message reports it. The interval
     ///   includes half a tick of each clock. If two topics share their rounded stamps, it includes the accuracy of the
-    ///   restored ones.
+    ///   restored ones. Columns of one table share their times and need neither.
     /// - A stream on another clock (TIM003) is first aligned by minimum delay, which hides a constant
     ///   transport delay.
     LAT001 {
