@@ -64,7 +64,7 @@ fn option(FileLayout { file, layout }: &FileLayout, rate: &str) -> String {
     format!("--columns '{file}{layout}{rate}'")
 }
 
-/// A longer layout does not help to write one: its columns are hardly those of one recording.
+/// Longer layouts are not proposed: nobody can check them, and their columns are hardly those of one recording.
 const MAX_LAYOUT_BYTES: usize = 300;
 
 /// Layouts of the tables without times, and whether their names state them. `None` if the columns are unknown as well, or

@@ -54,7 +54,7 @@ pub struct Cadence {
     pub has_header_stamps: bool,
     /// Stamps that decrease: the previous stamp, and the decrease, s.
     pub steps_back: Vec<(Stamp, f64)>,
-    /// Of these, those after which the stamps go on from the earlier one: a clock that was set, not a late row.
+    /// Of these, steps after which the stamps stay behind: the clock was set back, no row was late.
     pub set_back: usize,
     /// Rows that repeat stamp and content.
     pub repeats: usize,
