@@ -168,11 +168,12 @@ impl JointSamples<'_> {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
     }
 
-    /// Positions and velocities at the times of another joint: linear between samples, constant beyond them.
+    /// Positions and velocities at the times of another joint: linear between samples, constant beyond them. Empty without
+    /// samples.
     pub(super) fn at_times_of(&self, other: &Self) -> [Vec<f64>; 2] {
         let own = [&self.position, &self.velocity];
         let (Some(first), Some(last)) = (self.t_s.first(), self.t_s.last()) else {
-            return own.map(|values| vec![f64::NAN; values.len()]);
+            return Default::default();
         };
         if self.has_same_times(other) {
             return own.map(|values| values.to_vec());
