@@ -10,7 +10,8 @@ use crate::stream::{Columns, JointColumn};
 use super::role::Role;
 use super::streams::Stream;
 
-const TURN_LENGTHS: [f64; 2] = [TAU, 360.0];
+/// In rad and degrees.
+pub(super) const TURN_LENGTHS: [f64; 2] = [TAU, 360.0];
 /// Maximum distance from the ends of the range, turns.
 const MIN_END_MARGIN_TURNS: f64 = 0.02;
 /// The same in long usual steps; the larger applies.

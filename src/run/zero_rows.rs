@@ -19,6 +19,7 @@ use super::role::Role;
 use super::rows::Rows;
 use super::stale::{MAX_ACCELERATION, MIN_JUMP, MIN_STEP_RATIO, SPEED_ROWS};
 use super::streams::{Stream, StreamClocks};
+use super::unwrap::TURN_LENGTHS;
 
 /// Minimum number of joints. The one or two fingers of a gripper jump to exactly 0 when it closes.
 const MIN_JOINTS: usize = 3;
@@ -93,11 +94,12 @@ fn known_positions(joints: &JointColumns, row: usize) -> impl Iterator<Item = (&
     named.filter(|(_, q)| q.is_finite())
 }
 
+/// Whether all joints are exactly 0. A joint near a full turn then seems to wrap, and unwrapping adds whole turns to the 0.
 fn is_zero(joints: &JointColumns, row: usize) -> bool {
     let mut count = 0;
     known_positions(joints, row).all(|(_, q)| {
         count += 1;
-        q == 0.0
+        q == 0.0 || TURN_LENGTHS.iter().any(|turn| q % turn == 0.0)
     }) && count >= MIN_JOINTS
 }
 
@@ -197,6 +199,11 @@ mod tests {
 
     const NONE: [usize; 0] = [];
 
+    /// 10 s at 100 Hz.
+    fn rows() -> Rows {
+        (0..1000).map(|row| (Stamp::from_nanos(10_000_000 * row as i64), row)).collect()
+    }
+
     /// 10 s of three joints at 100 Hz; `is_zero` by time.
     fn detect(q: impl Fn(f64) -> f64, is_zero: impl Fn(f64) -> bool) -> Vec<usize> {
         let mut columns = JointColumns::default();
@@ -206,9 +213,7 @@ mod tests {
                 times.iter().map(|&t| if is_zero(t) { 0.0 } else { share * q(t) }).collect();
             columns.joints.push(JointColumn::from_positions(name.into(), position));
         }
-        let rows: Rows =
-            (0..1000).map(|row| (Stamp::from_nanos(10_000_000 * row as i64), row)).collect();
-        zero_rows(0, &columns, rows).map_or_else(Vec::new, |found| found.rows)
+        zero_rows(0, &columns, rows()).map_or_else(Vec::new, |found| found.rows)
     }
 
     fn swing(t: f64) -> f64 {
@@ -235,8 +240,6 @@ mod tests {
 
     #[test]
     fn joints_of_other_messages_do_not_make_zeros_jump() {
-        let rows: Rows =
-            (0..1000).map(|row| (Stamp::from_nanos(10_000_000 * row as i64), row)).collect();
         // Messages of a swinging arm and of wheels at rest alternate.
         let columns = |zeros_of_arm: &[usize]| {
             let column = |name: &str, q: &dyn Fn(usize) -> f64| {
@@ -254,10 +257,25 @@ mod tests {
             columns.joints.extend(["d", "e", "f"].map(|name| column(name, &wheel)));
             columns
         };
-        assert_eq!(zero_rows(0, &columns(&[]), rows.clone()), None);
-        let found = zero_rows(0, &columns(&[300, 302]), rows).expect("rows of zeros");
+        assert_eq!(zero_rows(0, &columns(&[]), rows()), None);
+        let found = zero_rows(0, &columns(&[300, 302]), rows()).expect("rows of zeros");
         assert_eq!(found.rows, [300, 302]);
         assert_eq!(found.joint.as_deref(), Some("rail"));
+    }
+
+    #[test]
+    fn zeros_of_an_unwrapped_joint_are_whole_turns() {
+        let is_zero = |row: usize| (500..520).contains(&row);
+        let column = |name: &str, near: f64, zero: f64| {
+            let q = |row| if is_zero(row) { zero } else { near + 0.1 * swing(0.01 * row as f64) };
+            JointColumn::from_positions(name.into(), (0..1000).map(q).collect())
+        };
+        let mut columns = JointColumns::default();
+        for (name, near, zero) in [("a", 1.0, 0.0), ("b", -0.7, 0.0), ("c", 6.1, TAU)] {
+            columns.joints.push(column(name, near, zero));
+        }
+        let found = zero_rows(0, &columns, rows()).expect("rows of zeros");
+        assert_eq!(found.rows, (500..520).collect::<Vec<_>>());
     }
 
     #[test]
