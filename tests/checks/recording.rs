@@ -183,18 +183,29 @@ impl Message {
         let mut written = self.cdr[..from].to_vec();
         align(&mut written, 4);
         written.extend((names.len() as u32).to_le_bytes());
-        for &joint in order {
-            align(&mut written, 4);
-            written.extend((names[joint].len() as u32 + 1).to_le_bytes());
-            written.extend(names[joint].as_bytes());
-            written.push(0);
-        }
+        order.iter().for_each(|&joint| append_name(&mut written, &names[joint]));
         for list in lists {
             let numbers: Vec<f64> = match list.as_slice() {
                 [] => Vec::new(),
                 list => order.iter().map(|&joint| list[joint]).collect(),
             };
             append_list(&mut written, &numbers);
+        }
+        self.cdr = written;
+    }
+
+    /// Replaces the joints of a joint state by three wheels at 0.
+    pub fn become_wheels(&mut self) {
+        let mut cdr = Reader { bytes: &self.cdr, at: 4 };
+        cdr.header();
+        let mut written = self.cdr[..cdr.at].to_vec();
+        align(&mut written, 4);
+        written.extend(3_u32.to_le_bytes());
+        for name in ["left_wheel", "right_wheel", "caster"] {
+            append_name(&mut written, name);
+        }
+        for numbers in [[0.0; 3].as_slice(), &[], &[]] {
+            append_list(&mut written, numbers);
         }
         self.cdr = written;
     }
@@ -206,10 +217,7 @@ impl Message {
         self.cdr.extend(1_u32.to_le_bytes());
         self.cdr.extend(header);
         for name in [parent, child] {
-            align(&mut self.cdr, 4);
-            self.cdr.extend((name.len() as u32 + 1).to_le_bytes());
-            self.cdr.extend(name.as_bytes());
-            self.cdr.push(0);
+            append_name(&mut self.cdr, name);
         }
         align(&mut self.cdr, 8);
         let numbers = xyz.into_iter().chain([0.0, 0.0, 0.0, 1.0]);
@@ -237,6 +245,13 @@ impl Message {
 /// Aligns the end to `size` bytes, relative to the end of the encapsulation header.
 fn align(cdr: &mut Vec<u8>, size: usize) {
     cdr.resize((cdr.len() - 4).next_multiple_of(size) + 4, 0);
+}
+
+fn append_name(cdr: &mut Vec<u8>, name: &str) {
+    align(cdr, 4);
+    cdr.extend((name.len() as u32 + 1).to_le_bytes());
+    cdr.extend(name.as_bytes());
+    cdr.push(0);
 }
 
 fn append_list(cdr: &mut Vec<u8>, numbers: &[f64]) {
@@ -476,6 +491,18 @@ pub fn repeat_samples(messages: &mut [Message], topic: &str, every: usize) {
             message.set_floats(at, numbers);
         }
     }
+}
+
+/// Adds a joint state of three wheels at 0 after each of the arm's.
+pub fn add_wheels(messages: &mut Vec<Message>) {
+    let states = messages.iter().filter(|message| message.topic == JOINT_STATES);
+    let mut wheels: Vec<Message> = states.cloned().collect();
+    for message in &mut wheels {
+        message.become_wheels();
+        message.shift(1_000_000);
+    }
+    messages.extend(wheels);
+    messages.sort_by_key(|message| message.log_ns);
 }
 
 /// Freezes the joint states received from `from_s` to `to_s` at the first of them.
