@@ -229,6 +229,7 @@ fn commands() -> ReferenceEvidence {
             not_reached: 0,
             nearest_miss: None,
             rest_errors: vec![vec![rest_error_of(0.0, 0.0)]; 2],
+            goal_maps: Vec::new(),
             lines: vec![line],
         })),
         delays: vec![CommandDelay {
@@ -240,6 +241,7 @@ fn commands() -> ReferenceEvidence {
                 gain: 1.0,
                 explained: 0.999,
             }),
+            map: None,
         }],
     }
 }

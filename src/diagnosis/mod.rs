@@ -99,7 +99,7 @@ pub use columns::{
 };
 pub use commands::{
     CommandDelay, CommandDiagnosis, CommandTracking, CommandedArm, CommandedLine, Commands,
-    DelayFailure, LineDeviation, RestError, RestErrorSpread, diagnose_commands,
+    DelayFailure, JointMap, LineDeviation, RestError, RestErrorSpread, diagnose_commands,
     estimate_joint_delays, estimate_pose_delay, infer_joint_order,
 };
 pub use compliance::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};

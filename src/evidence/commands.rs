@@ -54,6 +54,8 @@ pub struct UnmodelledCommands {
     pub joints: Vec<String>,
     /// Delay from command to state, per joint.
     pub delays: Vec<CommandDelay>,
+    /// The joint states were read as degrees by their size only.
+    pub is_in_degrees_by_magnitude: bool,
 }
 
 pub(super) fn unmodelled_commands(
@@ -91,6 +93,7 @@ pub(super) fn unmodelled_commands(
         let value = UnmodelledCommands {
             joints: names.collect(),
             delays: estimate_joint_delays(&t_s, &order, &q, &joints, max_lag_s),
+            is_in_degrees_by_magnitude: states.converted_from_degrees,
         };
         let topic = Some(run.streams[index].topic.clone());
         let subject = Subject { topic, ..Subject::default() };
@@ -180,7 +183,7 @@ fn diagnose(
     witnesses: &[PoseSeries],
     max_lag_s: f64,
 ) -> Result<(EstimateResult<CommandDiagnosis>, Vec<CommandDelay>), String> {
-    let (commands, delays) = match content {
+    let (commands, mut delays) = match content {
         ReferenceContent::Poses { track, .. } => {
             let series = PoseSeries::from_track(track).ok_or("its rotations are bare numbers")?;
             let by_kinematics = witnesses.first();
@@ -201,6 +204,11 @@ fn diagnose(
     };
     let arm = CommandedArm { joints: &arm.joints, chain: &arm.chain, columns: &arm.columns };
     let found = diagnose_commands(&commands, &arm, witnesses, max_lag_s);
+    for (column, map) in found.iter().flat_map(|found| &found.goal_maps) {
+        let is_of_joint = |delay: &&mut CommandDelay| delay.joint == Some(*column);
+        let goals = delays.iter_mut().filter(is_of_joint).filter(|delay| delay.is_of_goals());
+        goals.for_each(|delay| delay.map = Some(*map));
+    }
     let leads = |found: &CommandDiagnosis| !found.is_streamed || found.tracking.is_some();
     let is_unnamed = matches!(content, ReferenceContent::Joints { columns: None, .. });
     match &found {

@@ -1,14 +1,17 @@
 use serde_json::{Value, json};
 
+use crate::checks::commands::joint_maps::{self, MappedJoint};
 use crate::checks::commands::sources::{self, following_json, is_fk_different, source_name};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
-use crate::checks::motion::mot003_limits_exceeded::UNIT_UNDETERMINED;
+use crate::checks::motion::mot003_limits_exceeded::{self, UNIT_UNDETERMINED};
 use crate::checks::{Case, FrameThresholds, Grade, SubjectResult};
-use crate::diagnosis::{CommandDiagnosis, FrameEstimate, Measured, RestError, RestErrorSpread};
+use crate::diagnosis::{
+    CommandDelay, CommandDiagnosis, FrameEstimate, Measured, RestError, RestErrorSpread, range_of,
+};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::{
-    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit,
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit,
 };
 
 rule! {
@@ -17,7 +20,8 @@ rule! {
     /// ## What it means
     /// The command (a goal, a streamed pose or commanded joints) is constant and the arm has settled, so
     /// latency and following error have decayed. Yet the tip is off target. Commanded joints are converted
-    /// by forward kinematics.
+    /// by forward kinematics. Or a joint follows its commands by a constant map: it moves the other way,
+    /// moves more or less than commanded, or is off by a constant, such as a quarter or a whole turn.
     ///
     /// ## Why it matters
     /// This is the error of every pick and place. If goal and measured pose come from different chains of
@@ -27,7 +31,11 @@ rule! {
     /// The distance at the worst rest for streamed commands, and at the median rest for single goals.
     /// `rests` is the number of rests, `exceeding` the number above the thresholds, `at_ns` the time. `pose`
     /// is `tip_from_commanded`. `joints` lists the error of each commanded joint (`q_measured −
-    /// q_commanded`).
+    /// q_commanded`). An error that differs between rests is shown as a range.
+    ///
+    /// `maps` lists the joints that follow by a constant map, `state = gain · command + offset`, fitted over
+    /// the run at the delay (LAT004), or over the rests if the commands are goals. The map must leave less
+    /// than a fifth of the difference between state and command. It needs no model, no rest and no unit.
     ///
     /// `measured_by` is the pose source nearest to the command, among FK and the pose streams, as logged
     /// and corrected. `others` lists the errors of the other sources; if sources differ, other rules report
@@ -38,13 +46,15 @@ rule! {
     /// ## How to fix
     /// Separate the chains first: express goal and measured pose in one frame, with the same tool and
     /// kinematics. Then check the controller. A joint with a steady-state error lacks integral action, is
-    /// overloaded, or is held by a brake. A compliant controller yields to loads by design.
+    /// overloaded, or is held by a brake. A compliant controller yields to loads by design. Of a leader and
+    /// its follower, correct the zero, the direction or the gear ratio of the one that is wrong; the log does
+    /// not show which.
     ///
     /// ## When it misleads
     /// An offset that is constant in the tool frame at different orientations is probably a different active
     /// TCP. It is `info` unless the commanded link was named. A single goal at which the arm was stopped
     /// within 20 mm looks like a missed goal. With FK alone, a nominal model of a calibrated arm also differs
-    /// by millimetres (MDL001).
+    /// by millimetres (MDL001). A whole turn is a warning, because the pose is right.
     FRM006 {
         name: "reference-at-rest",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -58,6 +68,8 @@ rule! {
 const SETTLE: &str = "let the arm rest for half a second at its goals";
 /// An equal offset above this at all rests may be a tool or base frame, m.
 const MIN_FRAME_OFFSET_M: f64 = 0.02;
+/// Spread between rests relative to an error that is the same at all of them.
+const MAX_RELATIVE_SPREAD: f64 = 0.2;
 /// Limit for any arm, m.
 const MAX_STEADY_STATE_ERROR_M: f64 = 0.1;
 /// Limit for a calibrated arm, m and rad.
@@ -67,7 +79,60 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.references.iter().map(|one| judge(case, arm, one)).collect()
     };
-    case.evidence.robots.iter().flat_map(of_arm).collect()
+    let unmodelled = case.evidence.unmodelled_commands.iter().filter_map(|of| {
+        let joint = |joint: usize| Some((of.value.joints.get(joint)?.as_str(), Unit::Radian));
+        let mapped = mapped_joints(&of.value.delays, &joint, of.value.is_in_degrees_by_magnitude);
+        let outcome = map_fault(&of.subject, &mapped, &[], "")?;
+        let judged = SubjectResult::new(of.subject.clone(), outcome).within(of.span);
+        Some(judged.with_evidence("maps", maps_json(&mapped)))
+    });
+    case.evidence.robots.iter().flat_map(of_arm).chain(unmodelled).collect()
+}
+
+fn mapped_joints<'a>(
+    delays: &'a [CommandDelay],
+    joint: &dyn Fn(usize) -> Option<(&'a str, Unit)>,
+    is_unit_undetermined: bool,
+) -> Vec<MappedJoint<'a>> {
+    let mapped = |delay| MappedJoint::new(delay, joint, is_unit_undetermined);
+    delays.iter().filter_map(mapped).collect()
+}
+
+/// Whether the poses show the same fault in the joint states, which ORD009 or ZER001 reports.
+fn is_fault_of_state(arm: &ArmEvidence, mapped: &MappedJoint<'_>) -> bool {
+    let is_scaled = arm.diagnosis.scales.iter().any(|scale| scale.column == mapped.joint);
+    let zero = arm.diagnosis.offsets.get(mapped.joint).filter(|zero| zero.is_chosen);
+    let zero = zero.and_then(|zero| zero.offset.as_ref().ok());
+    is_scaled || zero.is_some_and(|zero| mapped.is_zero(zero))
+}
+
+/// `None` without mapped joints.
+fn map_fault(
+    subject: &Subject,
+    mapped: &[MappedJoint<'_>],
+    rests: &[RestError],
+    consequence: &str,
+) -> Option<Outcome> {
+    if mapped.is_empty() {
+        return None;
+    }
+    // The pose is right, but a controller that follows such a command turns the joint.
+    let severity = match mapped.iter().all(MappedJoint::is_whole_turns) {
+        true => Severity::Warning,
+        false => Severity::Error,
+    };
+    Some(Outcome::fail(Fault {
+        cause: Cause::Pictured(Picture::RestError),
+        severity,
+        title: "joint moves otherwise than commanded",
+        message: format!("{}{consequence}", joint_maps::describe(mapped, rests)),
+        evidence: Evidence::default(),
+        fix: joint_maps::fix(mapped, subject.topic.as_deref().unwrap_or_default()),
+    }))
+}
+
+fn maps_json(mapped: &[MappedJoint<'_>]) -> Vec<Value> {
+    mapped.iter().map(MappedJoint::json).collect()
 }
 
 /// Rests according to one source of poses.
@@ -126,9 +191,24 @@ fn judge(
 ) -> SubjectResult {
     let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
     let size = |rest: &RestError| relative_error(rest, &thresholds);
-    let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
+    let diagnosis = sources::reference_diagnosis(arm, reference, SETTLE);
+    let joint = |joint: usize| Some((arm.joints.get(joint)?.name.as_str(), arm.joint_unit(joint)));
+    let mapped = match mot003_limits_exceeded::doubt(arm) {
+        Some(_) => Vec::new(),
+        None => mapped_joints(&reference.delays, &joint, arm.is_unit_undetermined())
+            .into_iter()
+            .filter(|mapped| !is_fault_of_state(arm, mapped))
+            .collect(),
+    };
+    let unless_mapped = |outcome: Outcome, rests: &[RestError]| match map_fault(
+        &reference.subject, &mapped, rests, "",
+    ) {
+        Some(fault) => reference.judged(fault).with_evidence("maps", maps_json(&mapped)),
+        None => reference.judged(outcome),
+    };
+    let found = match diagnosis {
         Ok(found) => found,
-        Err(outcome) => return reference.judged(outcome),
+        Err(outcome) => return unless_mapped(outcome, &[]),
     };
     let with_commands = |judged: SubjectResult| {
         judged
@@ -140,21 +220,26 @@ fn judge(
         .filter_map(|source| RestErrors::from_source(case, found, source))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.rest).total_cmp(&size(b.rest))) else {
-        return with_commands(reference.judged(Outcome::Inconclusive(not_reached(found))));
+        return with_commands(unless_mapped(Outcome::Inconclusive(not_reached(found)), &[]));
     };
-    if arm.is_unit_undetermined() {
-        return with_commands(reference.judged(Outcome::Inconclusive(format!(
-            "{}{UNIT_UNDETERMINED}",
-            joint_error_as_logged(arm, nearest.rest)
-        ))));
-    }
     let rests_of_source = &found.rest_errors[nearest.source];
+    if arm.is_unit_undetermined() {
+        let undetermined =
+            format!("{}{UNIT_UNDETERMINED}", joint_error_as_logged(arm, nearest.rest));
+        let undetermined = Outcome::Inconclusive(undetermined);
+        return with_commands(unless_mapped(undetermined, rests_of_source));
+    }
     let name = source_name(reference, nearest.source);
-    let outcome = match &nearest.decision {
+    let consequence = match &nearest.decision {
+        Decision::Fail(_) => format!(": {}", at_rest(case, nearest, rests_of_source.len())),
+        _ => String::new(),
+    };
+    let by_maps = map_fault(&reference.subject, &mapped, rests_of_source, &consequence);
+    let outcome = by_maps.unwrap_or_else(|| match &nearest.decision {
         Decision::Fail(severity) => fault(case, arm, reference, found, nearest, *severity),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Pass => sound(arm, reference, nearest, &all, &name),
-    };
+    });
     let others: Vec<Value> = all
         .iter()
         .filter(|one| one.source != nearest.source)
@@ -180,10 +265,22 @@ fn judge(
         .with_evidence("beyond", nearest.exceeding)
         .with_evidence("at_ns", time)
         .with_evidence("pose", pose_json(&nearest.estimate.pose));
+    let judged = match mapped.as_slice() {
+        [] => judged,
+        mapped => judged.with_evidence("maps", maps_json(mapped)),
+    };
     match nearest.rest.joints.as_slice() {
         [] => judged,
         joints => judged.with_evidence("joints", joints_json(arm, joints)),
     }
+}
+
+/// Error at the judged rest, its time, and how many rests have one.
+fn at_rest(case: &Case, nearest: &RestErrors<'_>, rests: usize) -> String {
+    let (error_shown, exceeding) = (show(&nearest.estimate), nearest.exceeding);
+    let time = case.evidence.moment_at(nearest.rest.from_s);
+    let of = if rests == 1 { String::new() } else { format!(", at {exceeding} of {rests} rests") };
+    format!("steady-state error {error_shown}, at {time}{of}")
 }
 
 fn sound(
@@ -297,16 +394,14 @@ fn fault(
         Severity::Error if is_within_nominal_residual => (Severity::Warning, ""),
         severity => (severity, ""),
     };
-    let by_joint = worst_joint(arm, nearest.rest)
+    let by_joint = worst_joint(arm, nearest.rest, rests_of_source)
         .map_or(String::new(), |description| format!(": {description}"));
-    let (exceeding, rests) = (nearest.exceeding, rests_of_source.len());
-    let time = case.evidence.moment_at(nearest.rest.from_s);
-    let of = if rests == 1 { String::new() } else { format!(", at {exceeding} of {rests} rests") };
+    let at_rest = at_rest(case, nearest, rests_of_source.len());
     Outcome::fail(Fault {
         cause: Cause::Pictured(Picture::RestError),
         severity,
         title: "command and pose at rest differ",
-        message: format!("steady-state error {error_shown}, at {time}{of}{by_joint}{likely_cause}"),
+        message: format!("{at_rest}{by_joint}{likely_cause}"),
         evidence: Evidence {
             indistinguishable,
             effect_m: Some(nearest.estimate.translation_m.value),
@@ -329,7 +424,6 @@ fn is_constant(
     (spread_m, spread_rad): (f64, f64),
     thresholds: &FrameThresholds,
 ) -> bool {
-    const MAX_RELATIVE_SPREAD: f64 = 0.2;
     /// In warning thresholds.
     const MIN_SPREAD_THRESHOLDS: f64 = 0.3;
     let allowed = |size: f64, threshold: f64| {
@@ -339,11 +433,27 @@ fn is_constant(
         && spread_rad <= allowed(rest.angle_rad.norm.value, thresholds.angle.warning)
 }
 
-/// Commanded joint with the largest error.
-fn worst_joint(arm: &ArmEvidence, rest: &RestError) -> Option<String> {
+/// Commanded joint with the largest error, and its errors at all `rests`.
+fn worst_joint(arm: &ArmEvidence, rest: &RestError, rests: &[RestError]) -> Option<String> {
     let (joint, error) = largest_joint_error(rest)?;
     let name = &arm.joints.get(*joint)?.name;
-    Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(error)))
+    let unit = arm.joint_unit(*joint);
+    let own = rests.iter().flat_map(|rest| &rest.joints).filter(|(other, _)| other == joint);
+    let [low, high] = range_of(own.map(|(_, error)| error.value));
+    let is_constant = high - low <= MAX_RELATIVE_SPREAD * error.value.abs();
+    Some(match is_constant {
+        true => {
+            let error = error.with_error(0.5 * (high - low));
+            format!("{name} stays off by {}", unit.show_signed(&error))
+        }
+        false => {
+            format!(
+                "{name} stays off by {} to {} at different rests",
+                unit.show(low),
+                unit.show(high)
+            )
+        }
+    })
 }
 
 fn largest_joint_error(rest: &RestError) -> Option<&(usize, Measured)> {
@@ -376,7 +486,8 @@ fn joints_json(arm: &ArmEvidence, joints: &[(usize, Measured)]) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{COMMANDS, clean_run, evaluate_rule, rest_error_of};
+    use crate::checks::testing::{COMMANDS, clean_run, evaluate_rule, precise, rest_error_of};
+    use crate::diagnosis::JointMap;
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
@@ -448,6 +559,80 @@ mod tests {
             let row = &evaluate_rule(&FRM006, &run).0[0];
             assert_eq!(row.status, status, "{row:?}");
         }
+    }
+
+    /// The first joint's state over its command, and its errors at rests.
+    fn mapped(gain: f64, offset: f64, errors: &[f64]) -> RunEvidence {
+        let mut run = planted(|reference, found| {
+            reference.is_of_joints = true;
+            let rest = |error: &f64| RestError {
+                joints: vec![(0, precise(*error))],
+                ..rest_error_of(0.05, 0.0)
+            };
+            found.rest_errors = vec![errors.iter().map(rest).collect(); 2];
+        });
+        let delay = &mut run.robots[0].references[0].delays[0];
+        delay.joint = Some(0);
+        delay.map = Some(JointMap { gain: precise(gain), offset: precise(offset) });
+        run
+    }
+
+    #[test]
+    fn a_reversed_scaled_or_displaced_joint_is_reported_as_such() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        for (gain, offset, errors, severity, message, fix) in [
+            (
+                -1.0,
+                0.0,
+                [0.5, -0.3],
+                Severity::Error,
+                " moves the other way: ",
+                "reverse its direction",
+            ),
+            (2.02, 0.0, [0.5, 0.1], Severity::Error, " moves 2.02", "gear ratio"),
+            (
+                1.0,
+                -quarter,
+                [-quarter; 2],
+                Severity::Error,
+                "° (a quarter turn) at every rest: steady-state error 50.0",
+                "set its zero again",
+            ),
+            (1.0, -4.0 * quarter, [0.0; 2], Severity::Warning, "(a whole turn): ", "re-home it"),
+        ] {
+            let (rows, findings) = evaluate_rule(&FRM006, &mapped(gain, offset, &errors));
+            let found = &findings[0];
+            assert_eq!(found.severity, severity, "{rows:?}");
+            assert!(found.message.contains(message), "{}", found.message);
+            assert!(found.fix.contains(fix) && found.fix.contains(COMMANDS), "{}", found.fix);
+        }
+    }
+
+    #[test]
+    fn a_map_is_reported_without_a_rest_and_in_an_unknown_unit() {
+        let mut run = mapped(1.0, -std::f64::consts::FRAC_PI_2, &[]);
+        run.robots[0].is_in_degrees_by_magnitude = true;
+        run.robots[0].diagnosis.encoding = Err(crate::diagnosis::NotObservable::AtRest);
+        let (rows, findings) = evaluate_rule(&FRM006, &run);
+        assert_eq!(findings.len(), 1, "{rows:?}");
+        let message = &findings[0].message;
+        let shown = "is off by -90.00 in logged units (a quarter turn, if they are degrees)";
+        assert!(message.ends_with(shown), "{message}");
+    }
+
+    #[test]
+    fn a_compliant_joint_has_no_map() {
+        let run = mapped(0.9, 0.05, &[-0.05, -0.05]);
+        let (_, findings) = evaluate_rule(&FRM006, &run);
+        let message = &findings[0].message;
+        assert!(message.contains("stays off by -2.86"), "{message}");
+    }
+
+    #[test]
+    fn an_offset_that_differs_between_rests_is_a_range() {
+        let (_, findings) = evaluate_rule(&FRM006, &mapped(1.0, 0.0, &[-0.2, -1.4]));
+        let message = &findings[0].message;
+        assert!(message.ends_with("stays off by -80.2° to -11.5° at different rests"), "{message}");
     }
 
     #[test]

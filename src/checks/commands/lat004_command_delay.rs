@@ -27,9 +27,9 @@ rule! {
     /// The delay at which changes of the command best explain changes of the state, over windows, with a
     /// block-based interval. If a first-order low-pass explains much more, `low_pass_hz` is its corner
     /// frequency; the delay then includes its time constant, `pure_delay_s` does not. `gain` is the motion
-    /// of the state per unit of the command, `explained` the explained fraction of the state's motion,
-    /// `command_period_s` the time between commands. A delay of one period is a one-step shift. FRM006
-    /// reports differences at rest.
+    /// of the state per unit of the command, negative if the joint moves the other way, `explained` the
+    /// explained fraction of the state's motion, `command_period_s` the time between commands. A delay of
+    /// one period is a one-step shift. FRM006 reports reversed and scaled joints, and differences at rest.
     ///
     /// ## How to fix
     /// Look for smoothing or buffering of the trajectory: a look-ahead time, a low-pass on the set-points,
@@ -256,6 +256,7 @@ mod tests {
             joint,
             period_s: 0.1,
             response: Ok(Response { delay_s: precise(delay_s), low_pass_s, ..response }),
+            map: None,
         };
         run.robots[0].references[0].delays = delays.iter().map(of).collect();
         run

@@ -1,4 +1,5 @@
 pub(super) mod frm006_reference_at_rest;
+mod joint_maps;
 pub(super) mod lat004_command_delay;
 pub(super) mod mot004_line;
 mod sources;

@@ -1,5 +1,6 @@
 //! Delay of the arm behind its commands.
 
+use super::joint_map::{CommandedState, JointMap};
 use crate::latency::correlation::median_period_s;
 use crate::priors::LEVER_M;
 use crate::samples::sampling::range_of;
@@ -16,8 +17,17 @@ pub struct CommandDelay {
     pub joint: Option<usize>,
     /// Median of the commands.
     pub period_s: f64,
-    /// Response, or why not.
+    /// Response, or why not. Its gain is negative if the joint moves the other way.
     pub response: Result<Response, DelayFailure>,
+    /// From the joint's command to its state. `None` if they agree, or if no constant map describes them.
+    pub map: Option<JointMap>,
+}
+
+impl CommandDelay {
+    /// Whether the commands are goals, to which the controller plans the path.
+    pub fn is_of_goals(&self) -> bool {
+        matches!(self.response, Err(DelayFailure::Goals | DelayFailure::Steps))
+    }
 }
 
 /// Why the delay is undetermined.
@@ -63,8 +73,28 @@ pub fn estimate_joint_delays(
         let period_s = median_period_s(&t_s);
         let paths = [&commanded, &measured].map(Clone::clone);
         let commanded = TimeSeries::new(t_s, vec![commanded]);
-        let response = estimate_delay(&commanded, (&joints.t_s, vec![measured]), &paths, max_lag_s);
-        CommandDelay { joint: Some(column), period_s, response }
+        let state = (joints.t_s.as_slice(), measured);
+        let response = |commanded: &TimeSeries| {
+            estimate_delay(commanded, (state.0, vec![state.1.clone()]), &paths, max_lag_s)
+        };
+        let response = match response(&commanded) {
+            Err(DelayFailure::NotObservable(NotObservable::DoesNotFollow(correlation))) => {
+                let reversed = response(&commanded.negated());
+                reversed
+                    .map(|found| Response { gain: -found.gain, ..found })
+                    .map_err(|_| NotObservable::DoesNotFollow(correlation).into())
+            }
+            response => response,
+        };
+        let map = response.as_ref().ok().and_then(|found| {
+            let caused = found.reference_at(&commanded, state.0);
+            let samples = state.0.iter().zip(&state.1).zip(caused);
+            let samples = samples.filter_map(|((&t_s, &state), command)| {
+                Some(CommandedState { t_s, command: command?, state })
+            });
+            JointMap::fit(&samples.collect::<Vec<_>>())
+        });
+        CommandDelay { joint: Some(column), period_s, response, map }
     };
     order.iter().enumerate().map(of).collect()
 }
@@ -87,7 +117,7 @@ pub fn estimate_pose_delay(
     let commanded = TimeSeries::new(commanded.t_s.clone(), commanded_columns);
     let measured = (measured.t_s.as_slice(), measured_columns);
     let response = estimate_delay(&commanded, measured, &paths, max_lag_s);
-    CommandDelay { joint: None, period_s, response }
+    CommandDelay { joint: None, period_s, response, map: None }
 }
 
 /// Whether over half of the path consists of jumps several times faster than the arm's top speed. The

@@ -5,6 +5,7 @@
 //! Goals that the arm never approached are counted separately.
 
 mod delay;
+mod joint_map;
 mod line;
 mod measured_poses;
 mod rest;
@@ -12,6 +13,7 @@ mod rest_error;
 
 use self::delay::is_streamed;
 pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
+pub use self::joint_map::JointMap;
 pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErrorSpread};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
 use crate::model::jacobian::pose_change;
@@ -25,6 +27,7 @@ use ground::stats::thin::thinned;
 use ground::stats::{Measured, lowest, mean};
 use ground::stream::JointTrack;
 
+use joint_map::CommandedState;
 pub use line::{CommandedLine, LineDeviation};
 use measured_poses::{MeasuredPoses, length_of, pose_noise, variance_of_mean};
 use rest::{ConstantCommand, Rest, constant_commands, detect_rests, mean_pose, poses_within};
@@ -178,6 +181,7 @@ pub fn diagnose_commands(
         true => line::detect_lines(series, &constant_commands, &rests, &measured_poses),
         false => Vec::new(),
     };
+    let goal_maps = goal_maps(commands, arm.joints, &constant_commands, &rests);
     Ok(CommandDiagnosis {
         is_streamed,
         tracking,
@@ -185,6 +189,7 @@ pub fn diagnose_commands(
         not_reached,
         nearest_miss,
         rest_errors,
+        goal_maps,
         lines,
     })
 }
@@ -314,6 +319,28 @@ fn joint_errors(
         (column, mean_of(&errors.collect::<Vec<f64>>()))
     };
     (0..dof).filter(|&column| commanded[column].is_finite()).map(error).collect()
+}
+
+/// Compares joint goals with the states at the last rest that each caused, when the arm has arrived.
+fn goal_maps(
+    commands: &Commands,
+    joints: &JointTrack,
+    constant_commands: &[ConstantCommand],
+    rests: &[Rest],
+) -> Vec<(usize, JointMap)> {
+    let mut samples = vec![Vec::new(); joints.dof];
+    for command in constant_commands {
+        let Some(window) = rest_windows(command, rests, false, None).pop() else { continue };
+        let mut rows = commands.joints.chunks_exact(joints.dof.max(1));
+        let Some(commanded) = rows.nth(command.last) else { continue };
+        for (column, error) in joint_errors(commands, joints, command, window) {
+            let command = commanded[column];
+            let state = command + error.value;
+            samples[column].push(CommandedState { t_s: window.0, command, state });
+        }
+    }
+    let maps = samples.iter().enumerate();
+    maps.filter_map(|(column, samples)| Some((column, JointMap::fit(samples)?))).collect()
 }
 
 /// `None` if the arm's speed does not correlate with the commands'.

@@ -1,5 +1,6 @@
 //! Commands compared with motion.
 
+use super::joint_map::JointMap;
 use super::line::CommandedLine;
 use ground::geometry::{Pose, Vec3, mean_vector, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
@@ -91,6 +92,8 @@ pub struct CommandDiagnosis {
     pub nearest_miss: Option<(f64, f64)>,
     /// Per observation, each rest near its command, in time order.
     pub rest_errors: Vec<Vec<RestError>>,
+    /// Column, and map from the joint's goals to its states at the rests that they caused.
+    pub goal_maps: Vec<(usize, JointMap)>,
     /// Straight lines in the stream.
     pub lines: Vec<CommandedLine>,
 }

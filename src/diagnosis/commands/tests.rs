@@ -109,6 +109,57 @@ fn a_constant_joint_error_is_reported() {
 }
 
 #[test]
+fn a_reversed_scaled_and_displaced_joint_is_mapped_at_its_delay() {
+    let (joints, ..) = arm();
+    let t_s = times(50.0);
+    let commanded = |t_s: f64| {
+        let q = joints_at(t_s + 0.1);
+        [-q[0], q[1] / 2.0, q[2] + 1.57, q[3], q[4], q[5]]
+    };
+    let q: Vec<f64> = t_s.iter().flat_map(|&t_s| commanded(t_s)).collect();
+    let delays = estimate_joint_delays(&t_s, &[0, 1, 2, 3, 4, 5], &q, &joints, 1.0);
+    let expected = [Some((-1.0, 0.0)), Some((2.0, 0.0)), Some((1.0, -1.57)), None, None, None];
+    for (delay, expected) in delays.iter().zip(expected) {
+        let response = delay.response.as_ref().expect("it follows");
+        assert!((response.delay_s.value - 0.1).abs() < 5e-3, "{delay:?}");
+        assert_eq!(response.gain < 0.0, delay.joint == Some(0), "{delay:?}");
+        assert_eq!(delay.map.is_some(), expected.is_some(), "{delay:?}");
+        let Some((map, (gain, offset))) = delay.map.zip(expected) else { continue };
+        assert!((map.gain.value - gain).abs() < 0.01, "{delay:?}");
+        assert!((map.offset.value - offset).abs() < 0.01, "{delay:?}");
+    }
+}
+
+#[test]
+fn goals_of_a_reversed_joint_are_mapped_at_the_rests() {
+    // Moves to the next place for one second, then rests for one.
+    let place = |step: usize| 0.5 * [0.0, 1.0, -0.6, 0.4, -1.0, 0.7, 0.2][step.min(6)];
+    let (mut joints, chain, columns) = arm();
+    let at = |t_s: f64| {
+        let step = (t_s / 2.0) as usize;
+        let part = blend(t_s, 2.0 * step as f64);
+        let from = if step == 0 { place(0) } else { place(step - 1) };
+        from + part * (place(step) - from)
+    };
+    joints.t_s = (0..1750).map(|row| row as f64 / 125.0).collect();
+    let states = |t_s: f64| std::array::from_fn::<f64, 6, _>(|joint| at(t_s) - joint as f64 / 5.0);
+    joints.q = joints.t_s.iter().flat_map(|&t_s| states(t_s)).collect();
+    joints.qd = vec![0.0; joints.q.len()];
+    let t_s: Vec<f64> = (0..7).map(|step| 2.0 * step as f64).collect();
+    let goals = |&t_s: &f64| {
+        let q = states(t_s + 1.9);
+        [-q[0], q[1], q[2], q[3], q[4], q[5]]
+    };
+    let q: Vec<f64> = t_s.iter().flat_map(goals).collect();
+    let commands = Commands::from_joints(&t_s, &columns, &q, &joints, (&chain, columns.as_slice()));
+    let witness = PoseSeries::from_joints(&joints, &chain, &columns);
+    let arm = CommandedArm { joints: &joints, chain: &chain, columns: &columns };
+    let found = diagnose_commands(&commands, &arm, &[witness], 1.0).expect("it rests");
+    let [(0, map)] = found.goal_maps.as_slice() else { panic!("{:?}", found.goal_maps) };
+    assert!((map.gain.value + 1.0).abs() < 1e-6 && map.offset.value.abs() < 1e-3, "{map:?}");
+}
+
+#[test]
 fn a_tool_rotation_is_distinguished_from_a_base_shift() {
     let gap = |commanded: Pose, measured: Pose| RestError {
         from_s: 0.0,

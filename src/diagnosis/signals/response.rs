@@ -54,6 +54,16 @@ impl Response {
     pub fn pure_delay_s(&self) -> f64 {
         self.delay_s.value - self.low_pass_s
     }
+
+    /// First column of the reference that causes the response at `t_s`, which increases. `None` outside the reference and
+    /// in its gaps.
+    pub(crate) fn reference_at(&self, reference: &TimeSeries, t_s: &[f64]) -> Vec<Option<f64>> {
+        let filtered = (self.low_pass_s > 0.0).then(|| reference.filtered(self.low_pass_s));
+        let reference = filtered.as_ref().unwrap_or(reference);
+        let mut cursor = 0;
+        let at = |t_s: &f64| Some(reference.at(t_s - self.pure_delay_s(), &mut cursor)?[0]);
+        t_s.iter().map(at).collect()
+    }
 }
 
 impl TimeSeries {
@@ -64,6 +74,19 @@ impl TimeSeries {
         let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
         let longest_s = MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s);
         Self { t_s, columns, slopes, longest_s }
+    }
+
+    /// The same motion with the opposite sign.
+    pub fn negated(&self) -> Self {
+        let negate = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> {
+            columns.iter().map(|column| column.iter().map(|value| -value).collect()).collect()
+        };
+        Self {
+            columns: negate(&self.columns),
+            slopes: negate(&self.slopes),
+            t_s: self.t_s.clone(),
+            ..*self
+        }
     }
 
     /// Cubic Hermite. `None` outside the series and in gaps.
