@@ -89,7 +89,7 @@ pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;
 pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
 pub use role::{Role, named_encodings};
-pub(crate) use role::{is_of_camera, unnamed_poses};
+pub(crate) use role::{is_of_camera, is_outside_arm, unnamed_poses};
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
 pub use segments::{Cut, Segment, segments};

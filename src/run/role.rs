@@ -530,6 +530,11 @@ pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'st
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
 
+/// Whether a joint's name is that of a gripper, hand, wheel, head or leg.
+pub(crate) fn is_outside_arm(joint: &str) -> bool {
+    find_word(&split_words(joint), NON_ARM_JOINT_WORDS).is_some()
+}
+
 /// Words in lower case: split at other characters than letters and digits, and before a capital after a
 /// small letter.
 pub(super) fn split_words(name: &str) -> Vec<String> {

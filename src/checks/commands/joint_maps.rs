@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use crate::diagnosis::{CommandDelay, JointMap, Measured, RestError};
 use crate::finding::Unit;
+use crate::run::is_outside_arm;
 
 /// No controller keeps a steady-state error above this, rad or m.
 const MIN_OFFSET: f64 = 0.35;
@@ -23,14 +24,15 @@ pub struct MappedJoint<'a> {
 }
 
 impl<'a> MappedJoint<'a> {
-    /// `None` if the map may be of a controller that yields to loads.
+    /// `None` if the map may be of a controller that yields to loads, or of a gripper, whose command and state often have
+    /// different scales.
     pub fn new(
         delay: &'a CommandDelay,
         joint: impl Fn(usize) -> Option<(&'a str, Unit)>,
         is_unit_undetermined: bool,
     ) -> Option<Self> {
         let (column, map) = (delay.joint?, delay.map.as_ref()?);
-        let (name, unit) = joint(column)?;
+        let (name, unit) = joint(column).filter(|(name, _)| !is_outside_arm(name))?;
         let mapped = Self { joint: column, name, map, unit, is_unit_undetermined };
         let is_mapped = mapped.is_scaled() || mapped.is_reversed() || mapped.is_displaced();
         is_mapped.then_some(mapped)

@@ -17,7 +17,7 @@ use super::super::model::{LogModel, ModelClues};
 use super::super::models::{self, GivenRobot};
 use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::not_audited::{NotAudited, NotAuditedReason};
-use super::super::role::{NON_ARM_JOINT_WORDS, Role, find_word, split_words};
+use super::super::role::{Role, is_outside_arm};
 use super::super::skeleton::{self, ArmPath};
 use super::super::streams::Stream;
 use super::super::tf_tree::TfTree;
@@ -278,9 +278,7 @@ fn are_arm_joints(joints: &[&JointColumn]) -> bool {
     let moves = |joint: &JointColumn| {
         value_range(joint.position.iter().copied().filter(|q| q.is_finite())) > MIN_MOTION
     };
-    let is_arms =
-        |joint: &JointColumn| find_word(&split_words(&joint.name), NON_ARM_JOINT_WORDS).is_none();
-    joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= MIN_JOINTS
+    joints.iter().filter(|joint| moves(joint) && !is_outside_arm(&joint.name)).count() >= MIN_JOINTS
 }
 
 fn joints_in(topics: &[JointTopic<'_>]) -> Vec<String> {
