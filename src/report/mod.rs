@@ -299,13 +299,14 @@ impl Report {
     }
 
     /// If a finding suggests to estimate the links: the call, with the options of this audit. `None` if the audit has
-    /// options that `calibrate` has not.
+    /// options that `calibrate` has not, or several files: `audit` merges them, but each log of `calibrate` is a run.
     fn calibrate_command(&self) -> Option<String> {
         const OF_AUDIT_ONLY: [&str; 3] = [" --corrections", " --require", " --mesh-root"];
         let call = self.command_with("--out calibrated");
         let options = call.strip_prefix("poseaudit audit ")?;
         let is_shared = !OF_AUDIT_ONLY.iter().any(|option| options.contains(option));
-        (self.findings.iter().any(Finding::suggests_calibration) && is_shared)
+        let is_one = self.log.files.len() <= 1;
+        (self.findings.iter().any(Finding::suggests_calibration) && is_shared && is_one)
             .then(|| format!("poseaudit calibrate {options}"))
     }
 

@@ -231,7 +231,7 @@ impl<'a> TextReport<'a> {
 mod tests {
     use super::*;
     use crate::finding::{Cause, Evidence, Finding, Severity, Subject};
-    use crate::report::{LogSummary, Trouble, TroubleKind};
+    use crate::report::{FileRow, LogSummary, Trouble, TroubleKind};
     use textwrap::core::display_width;
 
     #[test]
@@ -261,6 +261,16 @@ mod tests {
         }];
         let call = "poseaudit calibrate 'my run.mcap' --robot ur5e --out calibrated\n";
         assert!(text(&report).contains(call), "{}", text(&report));
+        // `calibrate` does not merge the files of one run.
+        let file = |path: &str| FileRow {
+            path: path.into(),
+            container: "csv",
+            bytes: 1,
+            fetched_bytes: None,
+            crc: "none",
+        };
+        report.log.files = ["q.csv", "p.csv"].map(file).to_vec();
+        assert!(!text(&report).contains("poseaudit calibrate '"), "{}", text(&report));
     }
 
     #[test]
