@@ -77,8 +77,14 @@ struct NearSingularity {
 
 fn near_singularities(euler: &EulerEvidence, within_rad: f64) -> Vec<NearSingularity> {
     let mut found: Vec<NearSingularity> = Vec::new();
-    for &(at, margin_rad) in euler.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
-        match found.last_mut().filter(|last| at.seconds_since(last.span.end) < MIN_STAY_S) {
+    let mut last_row = None;
+    let rows = euler.margins_rad.iter().enumerate();
+    for (row, &(at, margin_rad)) in rows.filter(|(_, (_, margin))| *margin < within_rad) {
+        // At a low rate, consecutive samples are further apart than the shortest stay.
+        let is_next = last_row.replace(row).is_some_and(|last| last + 1 == row);
+        let is_same =
+            |last: &&mut NearSingularity| is_next || at.seconds_since(last.span.end) < MIN_STAY_S;
+        match found.last_mut().filter(is_same) {
             Some(last) => {
                 (last.span.end, last.samples) = (at, last.samples + 1);
                 last.nearest_rad = last.nearest_rad.min(margin_rad);
@@ -133,7 +139,8 @@ fn judge(
                 times => format!("{times} times"),
             };
             let message = format!(
-                "{convention} passes within {limit} of gimbal lock {times}, for less than {}; nearest by {} at {}",
+                "{convention} passes within {limit} of gimbal lock {times}, for less than {}; closest {} from it, in the \
+                 passage at {}",
                 Unit::Second.show(MIN_STAY_S),
                 Unit::Radian.show(min_rad),
                 case.evidence.moment(nearest.span.start),
@@ -208,6 +215,20 @@ mod tests {
         assert_eq!((found.len(), found[1].nearest_rad), (2, 0.01));
     }
 
+    #[test]
+    fn consecutive_samples_are_one_stay_at_any_rate() {
+        let at = |second: i64| Stamp::from_nanos(second * 1_000_000_000);
+        let margin = |second: i64| if [20, 22].contains(&second) { 0.3 } else { 0.01 };
+        let euler = EulerEvidence {
+            convention: Some(Convention::RPY),
+            margins_rad: (0..60).map(|second| (at(second), margin(second))).collect(),
+        };
+        let found = near_singularities(&euler, MAX_GIMBAL_MARGIN.value);
+        let samples: Vec<usize> = found.iter().map(|stay| stay.samples).collect();
+        assert_eq!(samples, [20, 1, 37]);
+        assert_eq!(found[0].span, Span { start: at(0), end: at(19) });
+    }
+
     /// Of a stream that is at the lock during `near`, tenths of a second.
     fn judged(near: std::ops::Range<i64>, is_undeclared: bool) -> (CheckRow, Vec<Finding>) {
         let mut run = clean_run();
@@ -231,7 +252,8 @@ mod tests {
         assert_eq!(passage.severity, Severity::Info);
         assert_eq!(
             passage.message,
-            "euler:xyz passes within 5° of gimbal lock once, for less than 500 ms; nearest by 4.01° at +10.00 s"
+            "euler:xyz passes within 5° of gimbal lock once, for less than 500 ms; closest 4.01° from it, in the \
+             passage at +10.00 s"
         );
         let (_, findings) = judged(100..107, false);
         let [stay] = findings.as_slice() else { panic!("{findings:?}") };
