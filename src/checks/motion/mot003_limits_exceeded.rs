@@ -155,17 +155,18 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     if position.is_some() && is_never_set(case, arm) {
         return judged(Outcome::Inconclusive("all joint positions are 0 (FRM007)".to_owned()));
     }
-    if let Some((fault, excess)) = wrapped_beyond(joint)
-        && !zero_is_off(arm, index)
-        && arm.indistinguishable_models.is_empty()
-    {
-        let estimate = Estimate::exact("beyond position limit", Unit::Radian.symbol(), excess);
-        return judged(Outcome::fail(fault)).estimated(estimate);
-    }
     let top_speed = limits.velocity.unwrap_or(0.0);
     let slight_from =
         if motion.is_endless { MAX_ENDLESS_SPEED_EXCESS / MAX_SLIGHT_EXCESS } else { 1.0 };
     let speed = ExceededLimit::detect("speed", motion.speeds.as_ref(), slight_from * top_speed);
+    if let Some((fault, excess)) = wrapped_beyond(joint)
+        && !zero_is_off(arm, index)
+        && arm.indistinguishable_models.is_empty()
+        && speed.as_ref().is_none_or(|speed| speed.severity <= fault.severity)
+    {
+        let estimate = Estimate::exact("beyond position limit", Unit::Radian.symbol(), excess);
+        return judged(Outcome::fail(fault)).estimated(estimate);
+    }
     let exceeded: Vec<&ExceededLimit<'_>> = [&position, &speed].into_iter().flatten().collect();
     let Some(worst) = exceeded.iter().rev().max_by_key(|exceeded| exceeded.severity) else {
         return judged(Outcome::pass());
@@ -365,6 +366,24 @@ mod tests {
             joint.motion.wrapped = Some(WrappedRange { ends_rad: range, is_of_table: false });
             let (_, findings) = evaluate_rule(&MOT003, &run);
             assert_eq!(findings.len(), usize::from(is_beyond), "{findings:?}");
+        }
+    }
+
+    #[test]
+    fn a_speed_that_is_worse_than_a_wrap_is_reported_instead() {
+        for (is_of_table, title) in
+            [(true, "joint limit exceeded"), (false, "joint wraps beyond its limits")]
+        {
+            let mut run = clean_run();
+            let joint = &mut run.robots[0].joints[1];
+            (joint.limits.lower, joint.limits.upper) = (Some(-3.14), Some(3.14));
+            joint.limits.velocity = Some(2.0);
+            joint.motion.wrapped = Some(WrappedRange { ends_rad: [0.0, 6.28], is_of_table });
+            joint.motion.speeds =
+                Some(LimitViolation { limit: 2.0, value: 9.0, at_s: 1.0, seconds: 0.02 });
+            let (_, findings) = evaluate_rule(&MOT003, &run);
+            let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+            assert_eq!((finding.title, finding.severity), (title, Severity::Warning));
         }
     }
 
