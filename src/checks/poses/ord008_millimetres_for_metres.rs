@@ -117,14 +117,14 @@ fn judge_accelerometer_scale(imu: &StreamEvidence<ImuEvidence>, scale: f64) -> S
         cause: Cause::Pictured(Picture::Stream),
         title: "accelerometer scale is wrong",
         message: format!(
-            "linear acceleration is {} times too large: it reads {} m/s² at rest, while gravity is {GRAVITY_M_S2} m/s²",
-            rounded(scale, 2),
-            rounded(felt, 2)
+            "linear acceleration reads {} m/s² at rest, {} times gravity ({GRAVITY_M_S2} m/s²)",
+            rounded(felt, 2),
+            rounded(scale, 2)
         ),
         evidence: Evidence::default(),
         fix: format!(
-            "convert the counts of {topic} with the accelerometer's full-scale range, and check that gravity is not \
-             added twice"
+            "convert the counts of {topic} with the accelerometer's full-scale range{}",
+            if scale > 1.0 { ", and check that gravity is not added twice" } else { "" }
         ),
     };
     imu.judged(Outcome::fail(fault))
@@ -211,5 +211,27 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, error: &LengthUnitError) -> Faul
             ..Evidence::default()
         },
         fix,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, evaluate_rule};
+
+    #[test]
+    fn a_wrong_scale_of_an_accelerometer_is_reported_as_a_multiple_of_gravity() {
+        for (scale, times, is_twice) in [(0.5, "0.50", false), (2.0, "2.00", true)] {
+            let mut run = clean_run();
+            let imu = &mut run.robots[0].imus[0].diagnosis;
+            imu.conventions.force_at_rest_m_s2 = Some(scale * GRAVITY_M_S2);
+            let (_, findings) = evaluate_rule(&ORD008, &run);
+            let finding =
+                findings.iter().find(|found| found.title == "accelerometer scale is wrong");
+            let finding = finding.expect("a wrong scale");
+            let said = format!("at rest, {times} times gravity");
+            assert!(finding.message.contains(&said), "{}", finding.message);
+            assert_eq!(finding.fix.contains("added twice"), is_twice, "{}", finding.fix);
+        }
     }
 }
