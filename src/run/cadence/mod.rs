@@ -62,7 +62,7 @@ pub struct Cadence {
     pub stale: usize,
     /// Rows that repeat only the stamp.
     pub conflicts: usize,
-    /// Rows with the stamp of both rows before: the stamp stands still.
+    /// Of these, rows with the stamp of both rows before: the stamp stands still.
     pub held: usize,
     /// Intervals with missing rows, in time order.
     pub missing_rows: Vec<MissingRows>,
@@ -329,12 +329,14 @@ impl CadencePart<'_> {
                     cadence.repeats += 1;
                     cadence.stale += usize::from(is_in_turn);
                 }
-                Some(_) => cadence.conflicts += 1,
+                Some(_) => {
+                    cadence.conflicts += 1;
+                    cadence.held += usize::from(before == [Some(stamp); 2]);
+                }
                 None => {
                     first.insert(stamp, row);
                 }
             }
-            cadence.held += usize::from(before == [Some(stamp); 2]);
             (before, received) = ([before[1], Some(stamp)], Some(now));
         }
         cadence

@@ -187,6 +187,18 @@ fn a_stamp_that_stands_still_is_held_and_an_old_row_in_the_place_of_a_new_one_is
 }
 
 #[test]
+fn identical_repeats_do_not_hold_a_stamp() {
+    // Four copies of each message, and a second publisher in every hundredth row.
+    let mut columns = poses(|row| Some((40 * (row / 4), 10 * row + 1)));
+    if let Columns::Poses(poses) = &mut columns {
+        let relayed = |row: f64| if row % 100.0 == 49.0 { -1.0 } else { (row / 4.0).floor() };
+        poses[0].xyz.update(|[row, y, z]| [relayed(row), y, z]);
+    }
+    let found = cadence(&columns);
+    assert_eq!((found.conflicts, found.held, found.repeats), (10, 0, 740));
+}
+
+#[test]
 fn a_stamp_used_twice_is_a_repeat_or_a_conflict() {
     let mut columns = poses(|row| {
         let (stamp, received) = on_time(row);
