@@ -46,6 +46,8 @@ const MAX_EDGE_DIFFERENCE: Limit = Limit {
     value: 1.0,
     what: "maximum difference in start and end times of complete streams",
 };
+/// Of a Julian year, s.
+const SECONDS_PER_YEAR: f64 = 365.25 * 86400.0;
 /// Three years: no recording is as long, so the clocks of the streams have different origins, s.
 const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
 const MIN_SLOW_INTERVAL_RATIO: Limit = Limit {
@@ -160,8 +162,8 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let is_other_epoch = missed_s > MIN_EPOCH_DIFFERENCE_S;
     let (title, message, estimate) = if is_other_epoch {
         let message = format!(
-            "its stamps are {} from those of the other streams, so it is not compared with them",
-            shown(missed_s)
+            "its stamps are {:.0} years from those of the other streams, so it is not compared with them",
+            missed_s / SECONDS_PER_YEAR
         );
         let apart = Estimate::exact("clock offset", Unit::Second.symbol(), missed_s);
         ("clocks have different origins", message, apart)
@@ -276,10 +278,11 @@ mod tests {
                 }),
             })];
             let (_, findings) = evaluate_rule(&TIM006, &run);
-            (findings[0].title, findings[0].fix.clone())
+            (findings[0].title, findings[0].message.clone(), findings[0].fix.clone())
         };
         assert_eq!(found(3.0).0, "stream is incomplete");
-        let (title, fix) = found(1.8e9);
+        let (title, message, fix) = found(1.8e9);
+        assert!(message.starts_with("its stamps are 57 years from"), "{message}");
         assert_eq!(title, "clocks have different origins");
         assert!(fix.contains("one origin"), "{fix}");
     }
