@@ -347,9 +347,16 @@ impl Corrections {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
             let offsets = [joint.offset_rad, joint.offset_m].iter().flatten().count();
-            let is_empty = offsets == 0 && joint.factor.is_none() && joint.coupling.is_none();
-            if offsets > 1 || is_empty {
-                return Some(format!("joint '{name}' needs one of offset_rad and offset_m"));
+            if offsets > 1 {
+                return Some(format!("joint '{name}' has both offset_rad and offset_m"));
+            }
+            if offsets == 0 && joint.factor.is_none() && joint.coupling.is_none() {
+                return Some(format!(
+                    "joint '{name}' has no correction: it needs offset_rad, offset_m, factor or coupling"
+                ));
+            }
+            if joint.coupling.as_ref().is_some_and(|coupling| coupling.joint == *name) {
+                return Some(format!("joint '{name}' is coupled to itself: use factor instead"));
             }
             if joint.factor == Some(0.0) {
                 return Some(format!("joint '{name}': factor must not be 0"));
@@ -486,7 +493,21 @@ mod tests {
             ),
             ("[[topic]]\nname = \"/t\"\nlatency_s = 1e9\n", "c.toml:4", "the maximum is 3600 s"),
             ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"t\"\n", "c.toml", "twice"),
-            ("[[joint]]\nname = \"a\"\n", "c.toml", "needs one of"),
+            (
+                "[[joint]]\nname = \"a\"\n",
+                "c.toml",
+                "needs offset_rad, offset_m, factor or coupling",
+            ),
+            (
+                "[[joint]]\nname = \"a\"\noffset_rad = 0.1\noffset_m = 0.1\n",
+                "c.toml",
+                "both offset_rad and offset_m",
+            ),
+            (
+                "[[joint]]\nname = \"a\"\ncoupling = {joint = \"a\", factor = 0.1}\n",
+                "c.toml",
+                "coupled to itself",
+            ),
             (
                 "[[topic]]\nname = \"/t\"\nrotation = {is = \"rotvec\", read_as = \"rpy\"}\n",
                 "c.toml:4",
