@@ -76,6 +76,10 @@ impl GivenCorrections<'_> {
                 );
             }
             let mut unapplied = UnappliedParts::from_correction(correction);
+            if let Some(unit) = correction.angle_unit {
+                let given = run.declared.iter_mut().filter(|declared| declared.is_of(name));
+                given.for_each(|declared| declared.angle = unit.is);
+            }
             run.declared.extend(self.declaration(correction));
             for arm in 0..run.arms.len() {
                 correct_poses(run, arm, correction, max_lag_s, &mut unapplied);

@@ -5,14 +5,14 @@ use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::Finding;
-use poseaudit::geometry::{Pose, QuaternionOrderError};
+use poseaudit::geometry::{Convention, Pose, QuaternionOrderError};
 use poseaudit::report::Report;
 use poseaudit::robot::Robot;
 use poseaudit::synth::{self, Camera, IMU, JOINT_STATES, LoggedEncoding, POSE, TF, urdf_text};
 use tempfile::TempDir;
 
 use crate::checks::case::{Log, single_finding, summary};
-use crate::checks::ord::misread;
+use crate::checks::ord::{declare_encoding, misread, poses_to_euler_numbers};
 use crate::checks::recording::{Field, Message};
 use crate::checks::zer::zero_offset;
 
@@ -363,6 +363,26 @@ fn unnamed_numbers_are_corrected_in_units_and_frames() {
     });
     corrected.assert_corrects(&["FRM002", "ORD001"], &[]);
     assert!(corrected.text("corrections.toml").contains("convention = \"rotvec\""));
+}
+
+#[test]
+fn a_corrected_unit_of_declared_angles_is_that_of_their_gimbal_lock() {
+    let corrected = CorrectedLog::audit(|log| {
+        declare_encoding(
+            log,
+            |messages| poses_to_euler_numbers(messages, Convention::RPY, 1_f64.to_degrees()),
+            "euler:xyz",
+        );
+        (log.run.amplitude, log.run.speed) = (0.3, 1.0);
+    });
+    corrected.assert_corrects(&["ORD004"], &[]);
+    let nearest_rad = |report: &Report| -> f64 {
+        let mut rows = report.checks.iter().filter(|row| row.code == "ORD006");
+        let nearest = rows.find_map(|row| row.evidence.get("nearest_rad")?.as_f64());
+        nearest.expect("a distance")
+    };
+    let [before, after] = [&corrected.before, &corrected.after].map(nearest_rad);
+    assert!((before - after).abs() < 1e-9, "{before} rad before, {after} rad after");
 }
 
 #[test]

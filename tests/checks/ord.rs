@@ -160,11 +160,11 @@ cases! {
 
     ORD006 rpy_at_gimbal_lock: |log| {
         move_first_joint_only(log);
-        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY), "euler:xyz");
+        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY, 1.0), "euler:xyz");
     } => warning(Topic(NUMBERS), ExpectedEstimate::AmountWithoutInterval(1.0, 1e-9));
     ORD006 rpy_far_from_gimbal_lock_passes: |log| {
         (log.run.amplitude, log.run.speed) = (0.3, 1.0);
-        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY), "euler:xyz");
+        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY, 1.0), "euler:xyz");
     } => NoFindings;
     ORD006 a_rotation_vector_is_not_reported_as_gimbal_lock: |log| {
         move_first_joint_only(log);
@@ -176,7 +176,7 @@ cases! {
     ORD006 undeclared_angles_are_not_checked_for_gimbal_lock: |log| {
         move_first_joint_only(log);
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
-        log.edit = Some(|messages| poses_to_euler_numbers(messages, Convention::RPY));
+        log.edit = Some(|messages| poses_to_euler_numbers(messages, Convention::RPY, 1.0));
     } => Inconclusive("its convention is not declared");
     ORD006 no_unnamed_numbers: |_| {} => Skipped("no stream uses Euler angles");
 
@@ -617,7 +617,7 @@ pub fn poses_to_numbers(messages: &mut [Message], per_radian: f64) {
 }
 
 /// The same with three Euler angles.
-fn poses_to_euler_numbers(messages: &mut [Message], convention: Convention) {
+pub fn poses_to_euler_numbers(messages: &mut [Message], convention: Convention, per_radian: f64) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let mut numbers = Vec::new();
         for field in message.fields() {
@@ -626,7 +626,8 @@ fn poses_to_euler_numbers(messages: &mut [Message], convention: Convention) {
                 Field::Xyz(at, _) => numbers.extend(message.floats::<3>(at)),
                 Field::Xyzw(at) => {
                     let rotation = rotation_from_xyzw(message.floats(at)).expect("a rotation");
-                    numbers.extend(convention.numbers(&rotation));
+                    let angles = convention.numbers(&rotation);
+                    numbers.extend(angles.map(|angle| angle * per_radian));
                 }
             }
         }
@@ -635,7 +636,7 @@ fn poses_to_euler_numbers(messages: &mut [Message], convention: Convention) {
 }
 
 /// Declares the encoding of the unnamed numbers, and ignores their missing stamps.
-fn declare_encoding(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
+pub fn declare_encoding(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
     let declaration = format!("{NUMBERS}={convention}");
     log.options.run.declared = vec![declaration.parse().expect("a declaration")];
     log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
