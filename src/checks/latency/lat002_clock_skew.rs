@@ -1,5 +1,4 @@
 use crate::checks::decision::Threshold;
-use crate::checks::latency::with_stamp_remedy;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EstimateResult, Measured};
@@ -72,7 +71,7 @@ fn judge(
     has_independent_stamps: bool,
     skew: &StreamEvidence<StreamEstimate<'_>>,
 ) -> SubjectResult {
-    let judged = with_stamp_remedy(case, arm, SKEW.judge(&LAT002, case, arm, skew), SETTLE);
+    let judged = SKEW.judge(&LAT002, case, arm, skew);
     // Rows of one clock may have been merged from streams of two. Against an arm, small rates are errors of the model.
     let is_fault = matches!(
         &judged.outcome,
@@ -134,7 +133,10 @@ fn fault(
 mod tests {
     use super::*;
     use crate::checks::testing::{IMU, clean_run, evaluate_rule, precise};
+    use crate::evidence::{ExpectedTiming, StampEvidence};
     use crate::finding::Status;
+    use crate::run::{Alignment, Epoch, HeaderStamps, StreamClock};
+    use crate::time::Clock;
 
     #[test]
     fn the_clock_of_an_imu_is_judged() {
@@ -143,6 +145,33 @@ mod tests {
         let (_, findings) = evaluate_rule(&LAT002, &run);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].severity, Severity::Error);
+    }
+
+    #[test]
+    fn an_uncertain_alignment_of_the_clocks_does_not_widen_a_rate() {
+        let mut run = clean_run();
+        let pose = &mut run.robots[0].poses[0];
+        pose.diagnosis.skew = Ok(Measured { std_error: 1e-2, ..precise(0.0) });
+        let clock = StreamClock {
+            stream: 0,
+            frame: None,
+            clock: Clock::Header,
+            stamps: HeaderStamps::Sound,
+            rows: 1000,
+            zero: 0,
+            begins_at_zero: false,
+            out_of_range: 0,
+            valid_range: i64::MIN..=i64::MAX,
+            log_minus_header_s: None,
+            soonest_s: None,
+            epoch: Epoch::Common,
+            alignment: Some(Alignment { offset_nanos: 0, spread_s: 0.1, is_by_motion: false }),
+        };
+        let stamps = StampEvidence { due: ExpectedTiming::Always, clock, rounded: None };
+        run.stamps = vec![pose.with_value(stamps)];
+        let (rows, _) = evaluate_rule(&LAT002, &run);
+        let why = rows[0].reason.as_deref().unwrap_or_default();
+        assert!(why.ends_with(SETTLE), "{why}");
     }
 
     #[test]
