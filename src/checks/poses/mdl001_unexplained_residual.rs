@@ -233,9 +233,13 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
         let commanded = arm.references.iter().find(|reference| !reference.is_of_joints);
         let commanded = commanded.map_or(String::new(), |reference| {
             let topic = reference.topic();
+            let mut rhythms = case.evidence.rhythms.iter();
+            let is_of_table =
+                rhythms.any(|rhythm| rhythm.topic() == topic && rhythm.is_from_table);
+            let columns = if is_of_table { ", or leave out `cmd.` in --columns" } else { "" };
             format!(
                 " ({topic} is taken for commands, by its name: if its poses are measured, set role = \"pose\" in \
-                 [stream.\"{topic}\"] of poseaudit.toml, or leave out `cmd.` in --columns)"
+                 [stream.\"{topic}\"] of poseaudit.toml{columns})"
             )
         });
         let why = format!(
