@@ -152,7 +152,7 @@ fn messages_are_clauses_with_a_number() {
 
 #[test]
 fn the_json_report_has_the_documented_keys_in_order() {
-    let report = json(&poseaudit(&["audit", "fixtures/clock.mcap", "--format", "json"]));
+    let report = json(&poseaudit(&["audit", "fixtures/goal.mcap", "--format", "json"]));
     let keys = |value: &Value| -> Vec<String> {
         value.as_object().expect("an object").keys().cloned().collect()
     };

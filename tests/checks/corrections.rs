@@ -299,8 +299,10 @@ fn the_only_pose_in_tf_is_corrected() {
         log.run.pose.tip_from_stream = crate::checks::frm::tool_offset();
         log.edit = Some(publish_poses_as_transforms);
     });
-    corrected.assert_corrects(&["FRM003"], &[]);
-    let finding = &corrected.before.findings[0];
+    // /tf_static places the same frame.
+    corrected.assert_corrects(&["FRM003", "FRM004"], &["FRM004"]);
+    let mut findings = corrected.before.findings.iter();
+    let finding = findings.find(|finding| finding.code == "FRM003").expect("a tool frame");
     assert!(finding.fix.contains("rename its child_frame_id"), "{}", finding.fix);
     let command = corrected.text("static_transforms.sh");
     assert!(command.contains("--frame-id tool0 --child-frame-id tool0_of_tf"), "{command}");

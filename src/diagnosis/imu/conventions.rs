@@ -105,7 +105,8 @@ impl ImuConventions {
         let force = StaticForce::measure(stream.track, &rests);
         let accel = force.and_then(|force| force.unit_error());
         let unit_m_s2 = accel.map_or(1.0, |error| error.unit.in_m_s2());
-        let at_rest = force.filter(|force| force.is_at_rest || force.is_steady());
+        let at_rest = force
+            .filter(|force| force.is_steady() || force.is_quiet_at_rest(GRAVITY_M_S2 / unit_m_s2));
         let force_at_rest_m_s2 =
             at_rest.map(|force| unit_m_s2 * force.median).filter(|force| *force > 0.0);
         Self { degrees, accel, force_at_rest_m_s2, saturation, mirrored_axis }
@@ -306,9 +307,17 @@ impl StaticForce {
 
     /// Whether it can be gravity: a larger spread is motion or noise.
     fn is_steady(&self) -> bool {
-        /// Share of the median.
+        self.has_spread_below(self.median)
+    }
+
+    /// Whether an arm at rest does not vibrate, so that the force shows whether gravity was removed.
+    fn is_quiet_at_rest(&self, gravity: f64) -> bool {
+        self.is_at_rest && self.has_spread_below(gravity)
+    }
+
+    fn has_spread_below(&self, force: f64) -> bool {
         const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
-        self.interquartile_range <= MAX_INTERQUARTILE_SHARE * self.median
+        self.interquartile_range <= MAX_INTERQUARTILE_SHARE * force
     }
 
     fn unit_error(&self) -> Option<AccelUnitError> {
