@@ -4,7 +4,6 @@
 //! of a joint that is proportional to its own or another joint's position is tested together with constant causes and link
 //! deviations.
 
-use super::StreamSamples;
 use super::shapes::USUAL_COMPLIANCE_RAD;
 use super::system::{Coefficient, ComplianceSystem};
 use crate::arm::are_floating;
@@ -50,10 +49,10 @@ impl ArmRun<'_> {
         let middles: Vec<f64> =
             (0..joints.dof).map(|column| mean(joints.positions_of(column))).collect();
         let coefficient = |&[column, by]: &[usize; 2]| {
-            let profile = |samples: &StreamSamples| {
-                samples.joints.positions_of(by).map(|q| q - middles[by]).collect()
-            };
-            Coefficient { column, profiles: samples.iter().map(profile).collect() }
+            let from_middle = |q: &Vec<f64>| q[by] - middles[by];
+            let profiles =
+                samples.iter().map(|samples| samples.q.iter().map(from_middle).collect());
+            Coefficient { column, profiles: profiles.collect() }
         };
         let coefficients: Vec<Coefficient> = gains.iter().map(coefficient).collect();
         let system = ComplianceSystem::new(&samples, &coefficients);

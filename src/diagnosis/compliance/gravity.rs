@@ -2,7 +2,6 @@
 
 use ground::geometry::Vec3;
 use ground::robot::{Chain, JointKind};
-use ground::stream::JointTrack;
 
 /// Relative masses, assumed if the model has none. `taper` is the mass ratio of successive links, `tool` the mass ratio of
 /// tool and last link.
@@ -42,13 +41,8 @@ impl GravityTorques {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 
-    /// Torques at each of these joint states.
-    pub fn along(&self, joints: &JointTrack) -> Vec<Vec<f64>> {
-        (0..joints.len()).map(|row| self.torques(joints.row(row))).collect()
-    }
-
     /// Torques at `row`, positive along the joint's motion, 0 for prismatic joints. One for each position of the row.
-    fn torques(&self, row: &[f64]) -> Vec<f64> {
+    pub fn torques(&self, row: &[f64]) -> Vec<f64> {
         let q: Vec<f64> = self.columns.iter().map(|&column| row[column]).collect();
         let (mut jacobian, mut frames) = (vec![[0.0; 6]; q.len()], Vec::new());
         let tip = self.chain.forward_with_jacobian(&q, &mut jacobian).translation.vector;

@@ -25,7 +25,6 @@ use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
 use ground::stats::lowest;
-use ground::stream::JointTrack;
 
 pub(super) use gains::diagnose_with_gain;
 use gravity::MassModel;
@@ -42,8 +41,12 @@ const MAX_ROUNDS: usize = 3;
 /// Residual of a stream under a diagnosis, and the reported joint states at its samples.
 struct StreamSamples<'a> {
     columns: CauseColumns<'a>,
-    /// Reported, at the times of measurement.
-    joints: JointTrack,
+    /// Reported, all joints of the track.
+    q: Vec<Vec<f64>>,
+    /// Velocities of all joints.
+    qd: Vec<Vec<f64>>,
+    /// Row of the joint track before the sample, and fraction to the next.
+    at: Vec<(usize, f64)>,
 }
 
 /// `diagnosis` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
@@ -302,17 +305,21 @@ impl ArmRun<'_> {
     ) -> StreamSamples<'b> {
         let truth_s = self.truth_s(stream, diagnosis);
         let columns = CauseColumns::new(diagnosis, stream).with_free_zeros();
-        let mut joints = JointTrack { dof: self.joints.dof, ..JointTrack::default() };
+        let (mut all, mut all_qd, mut at) = (Vec::new(), Vec::new(), Vec::new());
         let mut sequence = self.joints.sequence();
         for row in columns.samples() {
             let at_s = truth_s(diagnosis.aligned.t_s[row]);
             // Beyond the joint states, the last positions stay.
             sequence.at(at_s);
             let (q, qd) = sequence.last();
-            joints.t_s.push(at_s);
-            joints.q.extend(q);
-            joints.qd.extend(qd);
+            let row = self.joints.t_s.partition_point(|t_s| *t_s <= at_s).saturating_sub(1);
+            let next = (row + 1).min(self.joints.len() - 1);
+            let period_s = (self.joints.t_s[next] - self.joints.t_s[row]).max(f64::MIN_POSITIVE);
+            let part = ((at_s - self.joints.t_s[row]) / period_s).clamp(0.0, 1.0);
+            all.push(q.to_vec());
+            all_qd.push(qd.to_vec());
+            at.push((row, part));
         }
-        StreamSamples { columns, joints }
+        StreamSamples { columns, q: all, qd: all_qd, at }
     }
 }

@@ -4,7 +4,6 @@ use super::StreamSamples;
 use super::gravity::{GravityTorques, MassModel};
 use super::shapes::{
     BacklashCrossing, ComplianceShape, JointCompliance, JointSag, MAX_COMPLIANCE_RAD,
-    gravity_torques,
 };
 use super::system::{Coefficient, ComplianceSystem};
 use crate::arm_run::ArmRun;
@@ -16,6 +15,8 @@ use ground::stream::JointTrack;
 use std::ops::Range;
 use std::sync::Arc;
 
+/// During the search. The profile depends weakly on it.
+const INITIAL_BACKLASH_RAD: f64 = 3e-3;
 /// Share of the explainable excess residual.
 const MIN_EXPLAINED_SHARE: f64 = 0.03;
 /// Cycles per turn: joint, encoder, bearing.
@@ -46,8 +47,8 @@ impl<'a> ComplianceSearch<'a> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
         let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
         let mut max_torque = vec![0.0_f64; run.joints.dof];
-        for own in samples.iter().flat_map(|samples| gravity.along(&samples.joints)) {
-            max_torque.iter_mut().zip(&own).for_each(|(max, own)| *max = max.max(own.abs()));
+        for own in torques(&gravity, samples).iter().flatten() {
+            max_torque.iter_mut().zip(own).for_each(|(max, own)| *max = max.max(own.abs()));
         }
         Some(Self { run, samples, gravity, max_torque })
     }
@@ -62,8 +63,8 @@ impl<'a> ComplianceSearch<'a> {
     /// large.
     pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<JointCompliance> {
         self.sagging().find(|sagging| *sagging == column)?;
-        let torques = self.samples.iter().flat_map(|it| self.gravity.along(&it.joints));
-        let torques = torques.map(|torques| torques[column]);
+        let torques = torques(&self.gravity, self.samples);
+        let torques = torques.iter().flatten().map(|torques| torques[column]);
         let amounts = [offset_rad * self.max_torque[column] / mean(torques), 0.0];
         (amounts[0] > 0.0 && amounts[0] < MAX_COMPLIANCE_RAD)
             .then(|| JointCompliance { amounts, ..self.sag(column, None) })
@@ -87,8 +88,8 @@ impl<'a> ComplianceSearch<'a> {
 
     fn candidates(&self) -> Vec<JointCompliance> {
         let of_joint = |column: usize| {
-            let positions = self.samples.iter().flat_map(|it| it.joints.positions_of(column));
-            let range = value_range(positions);
+            let values = self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
+            let range = value_range(values);
             let speeds = self.run.joints.velocities_of(column).map(f64::abs);
             let max_speed = speeds.fold(0.0, f64::max);
             let of_motion = [
@@ -211,19 +212,57 @@ fn system(
     samples: &[StreamSamples],
     terms: &[JointCompliance],
 ) -> ComplianceSystem {
-    let torques = samples.iter().map(|samples| gravity_torques(terms, &samples.joints));
-    let torques: Vec<Vec<Vec<f64>>> = torques.collect();
-    let coefficients = terms.iter().flat_map(|term| {
-        let streams = samples.iter().zip(&torques);
-        let profiles: Vec<Vec<[f64; 2]>> = streams
-            .map(|(samples, torques)| term.profile(joints, &samples.joints, torques))
-            .collect();
-        (0..term.width()).map(move |at| {
-            let of_amount = |profile: &Vec<[f64; 2]>| profile.iter().map(|it| it[at]).collect();
-            Coefficient { column: term.column, profiles: profiles.iter().map(of_amount).collect() }
-        })
+    let gravity = terms.iter().find_map(|term| match &term.shape {
+        ComplianceShape::Sag(sag) => Some(&sag.gravity),
+        _ => None,
     });
-    ComplianceSystem::new(samples, &coefficients.collect::<Vec<_>>())
+    let torques = gravity.map_or_else(Vec::new, |gravity| torques(gravity, samples));
+    let of_term = |term| coefficients_of(term, joints, samples, &torques);
+    ComplianceSystem::new(samples, &terms.iter().flat_map(of_term).collect::<Vec<_>>())
+}
+
+/// Coefficients of a term, with their profiles.
+fn coefficients_of(
+    term: &JointCompliance,
+    joints: &JointTrack,
+    samples: &[StreamSamples],
+    torques: &[Vec<Vec<f64>>],
+) -> Vec<Coefficient> {
+    let column = term.column;
+    let behind = match term.shape {
+        ComplianceShape::Backlash(crossing) => {
+            let width = match term.amounts[0].abs() {
+                0.0 => INITIAL_BACKLASH_RAD,
+                width => width,
+            };
+            crossing.link_offsets(joints.len(), |row| joints.row(row)[column], width)
+        }
+        _ => Vec::new(),
+    };
+    let values = |s: usize, k: usize| -> [f64; 2] {
+        let StreamSamples { q, qd, at, .. } = &samples[s];
+        let (row, part) = at[k];
+        match &term.shape {
+            ComplianceShape::Backlash(_) => {
+                let next = (row + 1).min(behind.len() - 1);
+                [behind[row] * (1.0 - part) + behind[next] * part, 0.0]
+            }
+            ComplianceShape::Sag(sag) => {
+                let mut shares = [0.0; 2];
+                shares[sag.amount_at(joints.t_s[row])] = torques[s][k][column] / sag.max_torque;
+                shares
+            }
+            ComplianceShape::Eccentric(order) => {
+                (f64::from(*order) * q[k][column]).sin_cos().into()
+            }
+            ComplianceShape::Delay { max_speed } => [qd[k][column] / max_speed, 0.0],
+        }
+    };
+    let coefficient = |at: usize| {
+        let of_stream = |s: usize| (0..samples[s].q.len()).map(|k| values(s, k)[at]).collect();
+        Coefficient { column, profiles: (0..samples.len()).map(of_stream).collect() }
+    };
+    (0..term.width()).map(coefficient).collect()
 }
 
 /// Coefficients of each term.
@@ -234,4 +273,11 @@ fn coefficients(terms: &[JointCompliance]) -> Vec<Range<usize>> {
         end - term.width()..end
     };
     terms.iter().map(own).collect()
+}
+
+/// Indexed by stream, sample and joint.
+fn torques(gravity: &GravityTorques, samples: &[StreamSamples]) -> Vec<Vec<Vec<f64>>> {
+    let of_stream =
+        |samples: &StreamSamples| samples.q.iter().map(|q| gravity.torques(q)).collect();
+    samples.iter().map(of_stream).collect()
 }

@@ -55,6 +55,23 @@ pub enum BacklashCrossing {
     Sudden,
 }
 
+impl BacklashCrossing {
+    /// Link relative to encoder, from −½ to ½ of the backlash, per row. Starts in the middle.
+    pub(super) fn link_offsets(
+        self,
+        rows: usize,
+        q: impl Fn(usize) -> f64,
+        backlash_rad: f64,
+    ) -> Vec<f64> {
+        match self {
+            Self::Gradual => backlash_operator(rows, q, backlash_rad.abs()),
+            Self::Sudden => {
+                motion_directions(rows, q).into_iter().map(|direction| -0.5 * direction).collect()
+            }
+        }
+    }
+}
+
 /// Sag under gravity torque.
 #[derive(Clone, Debug)]
 pub struct JointSag {
@@ -120,49 +137,6 @@ impl JointCompliance {
         Some(ScalarChange { at_s, within_s, course: Course::Step, from, to, size })
     }
 
-    /// Bend per amount at some joint states of the run `joints`, with the gravity torques there.
-    pub(super) fn profile(
-        &self,
-        joints: &JointTrack,
-        at: &JointTrack,
-        torques: &[Vec<f64>],
-    ) -> Vec<[f64; 2]> {
-        /// Of backlash whose size is unknown. The profile depends weakly on it.
-        const INITIAL_BACKLASH_RAD: f64 = 3e-3;
-        let column = self.column;
-        match &self.shape {
-            ComplianceShape::Backlash(crossing) => {
-                let q = |row: usize| joints.row(row)[column];
-                let width = Some(self.amounts[0].abs()).filter(|width| *width > 0.0);
-                let offsets = match crossing {
-                    BacklashCrossing::Gradual => {
-                        backlash_operator(joints.len(), q, width.unwrap_or(INITIAL_BACKLASH_RAD))
-                    }
-                    BacklashCrossing::Sudden => {
-                        let directions = motion_directions(joints.len(), q).into_iter();
-                        directions.map(|direction| -0.5 * direction).collect()
-                    }
-                };
-                at.t_s.iter().map(|t_s| [value_at(&joints.t_s, &offsets, *t_s), 0.0]).collect()
-            }
-            ComplianceShape::Sag(sag) => {
-                let shares = at.t_s.iter().zip(torques).map(|(t_s, torques)| {
-                    let mut shares = [0.0; 2];
-                    shares[sag.amount_at(*t_s)] = torques[column] / sag.max_torque;
-                    shares
-                });
-                shares.collect()
-            }
-            ComplianceShape::Eccentric(order) => {
-                let order = f64::from(*order);
-                at.positions_of(column).map(|q| (order * q).sin_cos().into()).collect()
-            }
-            ComplianceShape::Delay { max_speed } => {
-                at.velocities_of(column).map(|qd| [qd / max_speed, 0.0]).collect()
-            }
-        }
-    }
-
     fn measured(&self, value: f64) -> Measured {
         let by_masses = if self.is_sag() { MASS_STD_ERROR * value } else { 0.0 };
         Measured { value, std_error: self.std_error.hypot(by_masses), dof: self.dof }
@@ -201,62 +175,60 @@ impl JointCompliance {
     }
 }
 
-/// Gravity torques at joint states, of the sag among `compliances`, which have the same masses. Empty without sag.
-pub(super) fn gravity_torques(
-    compliances: &[JointCompliance],
-    joints: &JointTrack,
-) -> Vec<Vec<f64>> {
-    let mut shapes = compliances.iter().map(|it| &it.shape);
-    let sag = shapes
-        .find_map(|shape| if let ComplianceShape::Sag(sag) = shape { Some(sag) } else { None });
-    sag.map_or_else(Vec::new, |sag| sag.gravity.along(joints))
-}
-
 /// Adds `compliances` to positions, rad, and their derivatives to velocities, all from the reported positions.
 pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointCompliance]) {
-    let reported = joints.clone();
-    let torques = gravity_torques(compliances, &reported);
-    for compliance in compliances {
-        let JointCompliance { column, ref shape, amounts: [first, second], .. } = *compliance;
-        let places = (column..joints.q.len()).step_by(joints.dof.max(1));
-        if let ComplianceShape::Delay { max_speed } = shape {
-            let late = joints.clone();
-            let mut sequence = late.sequence();
-            let mut later = (late.q[column], late.qd[column]);
-            for (at, t_s) in places.zip(&late.t_s) {
-                // Beyond the ends, the first or last positions stay.
-                if let Some((q, qd)) = sequence.at(t_s + first / max_speed) {
-                    later = (q[column], qd[column]);
+    let dof = joints.dof.max(1);
+    let reported = joints.q.clone();
+    for JointCompliance { column, shape, amounts, .. } in compliances {
+        let (column, amount) = (*column, amounts[0]);
+        let q = |row: usize| reported[row * dof + column];
+        match shape {
+            ComplianceShape::Backlash(crossing) => {
+                let link_offset = crossing.link_offsets(joints.len(), q, amount);
+                for (row, link_offset) in link_offset.into_iter().enumerate() {
+                    let at = row * dof + column;
+                    joints.q[at] += link_offset * amount;
+                    // The link rests while the joint crosses.
+                    if link_offset.abs() < 0.499
+                        && amount > 0.0
+                        && *crossing == BacklashCrossing::Gradual
+                    {
+                        joints.qd[at] = 0.0;
+                    }
                 }
-                (joints.q[at], joints.qd[at]) = later;
             }
-            continue;
-        }
-        for (at, [a, b]) in places.zip(compliance.profile(&reported, &reported, &torques)) {
-            joints.q[at] += first * a + second * b;
-            match shape {
-                ComplianceShape::Eccentric(order) => {
-                    joints.qd[at] *= 1.0 + f64::from(*order) * (first * b - second * a);
+            ComplianceShape::Sag(sag) => {
+                for (row, positions) in reported.chunks_exact(dof).enumerate() {
+                    let torque = sag.gravity.torques(positions)[column];
+                    let amount = amounts[sag.amount_at(joints.t_s[row])];
+                    joints.q[row * dof + column] += amount * torque / sag.max_torque;
                 }
-                // The link rests while the joint crosses.
-                ComplianceShape::Backlash(BacklashCrossing::Gradual)
-                    if a.abs() < 0.499 && first > 0.0 =>
-                {
-                    joints.qd[at] = 0.0;
+            }
+            ComplianceShape::Eccentric(order) => {
+                let order = f64::from(*order);
+                for row in 0..joints.len() {
+                    let at = row * dof + column;
+                    let (sin, cos) = (order * q(row)).sin_cos();
+                    joints.q[at] += amounts[0] * sin + amounts[1] * cos;
+                    joints.qd[at] *= 1.0 + order * (amounts[0] * cos - amounts[1] * sin);
                 }
-                _ => {}
+            }
+            ComplianceShape::Delay { max_speed } => {
+                let delay_s = amount / max_speed;
+                let late = joints.clone();
+                let mut sequence = late.sequence();
+                let mut later = (late.q[column], late.qd[column]);
+                for row in 0..joints.len() {
+                    let at = row * dof + column;
+                    // Beyond the ends, the first or last positions stay.
+                    if let Some((q, qd)) = sequence.at(late.t_s[row] + delay_s) {
+                        later = (q[column], qd[column]);
+                    }
+                    (joints.q[at], joints.qd[at]) = later;
+                }
             }
         }
     }
-}
-
-/// Interpolated; the first or last value outside the times.
-fn value_at(times_s: &[f64], values: &[f64], t_s: f64) -> f64 {
-    let after = times_s.partition_point(|at_s| *at_s <= t_s);
-    let [before, after] = [after.saturating_sub(1), after.min(times_s.len() - 1)];
-    let interval_s = (times_s[after] - times_s[before]).max(f64::MIN_POSITIVE);
-    let part = ((t_s - times_s[before]) / interval_s).clamp(0.0, 1.0);
-    values[before] * (1.0 - part) + values[after] * part
 }
 
 /// Last motion per row: 1 or −1; 0 before it moves.
@@ -276,7 +248,6 @@ pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f6
         .collect()
 }
 
-/// Link relative to encoder, from −½ to ½ of the backlash, per row. Starts in the middle.
 fn backlash_operator(rows: usize, q: impl Fn(usize) -> f64, backlash_rad: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = backlash_rad.max(f64::MIN_POSITIVE);
