@@ -300,7 +300,7 @@ fn the_only_pose_in_tf_is_corrected() {
         log.edit = Some(publish_poses_as_transforms);
     });
     // /tf_static places the same frame.
-    corrected.assert_corrects(&["FRM003", "FRM004"], &["FRM004"]);
+    corrected.assert_corrects(&["FRM003"], &["FRM004"]);
     let mut findings = corrected.before.findings.iter();
     let finding = findings.find(|finding| finding.code == "FRM003").expect("a tool frame");
     assert!(finding.fix.contains("rename its child_frame_id"), "{}", finding.fix);

@@ -105,8 +105,10 @@ impl ImuConventions {
         let force = StaticForce::measure(stream.track, &rests);
         let accel = force.and_then(|force| force.unit_error());
         let unit_m_s2 = accel.map_or(1.0, |error| error.unit.in_m_s2());
-        let at_rest = force
-            .filter(|force| force.is_steady() || force.is_quiet_at_rest(GRAVITY_M_S2 / unit_m_s2));
+        let at_rest = force.filter(|force| {
+            let is_quiet = !force.vibrates(GRAVITY_M_S2 / unit_m_s2);
+            is_quiet && (force.is_at_rest || force.is_steady())
+        });
         let force_at_rest_m_s2 =
             at_rest.map(|force| unit_m_s2 * force.median).filter(|force| *force > 0.0);
         Self { degrees, accel, force_at_rest_m_s2, saturation, mirrored_axis }
@@ -293,6 +295,8 @@ struct StaticForce {
     is_at_rest: bool,
     median: f64,
     interquartile_range: f64,
+    /// Median change from sample to sample.
+    change: f64,
 }
 
 impl StaticForce {
@@ -302,22 +306,24 @@ impl StaticForce {
         let rows: &[usize] = if is_at_rest { rests } else { &all };
         let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
         let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
-        Some(Self { is_at_rest, median: median?, interquartile_range: high? - low? })
+        let pairs = rows.windows(2).filter(|pair| pair[1] == pair[0] + 1);
+        let mut changes: Vec<f64> =
+            pairs.map(|pair| (track.accel[pair[1]] - track.accel[pair[0]]).norm()).collect();
+        let change = quantile(&mut changes, 0.5).unwrap_or(0.0);
+        Some(Self { is_at_rest, median: median?, interquartile_range: high? - low?, change })
     }
 
     /// Whether it can be gravity: a larger spread is motion or noise.
     fn is_steady(&self) -> bool {
-        self.has_spread_below(self.median)
-    }
-
-    /// Whether an arm at rest does not vibrate, so that the force shows whether gravity was removed.
-    fn is_quiet_at_rest(&self, gravity: f64) -> bool {
-        self.is_at_rest && self.has_spread_below(gravity)
-    }
-
-    fn has_spread_below(&self, force: f64) -> bool {
+        /// Share of the median.
         const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
-        self.interquartile_range <= MAX_INTERQUARTILE_SHARE * force
+        self.interquartile_range <= MAX_INTERQUARTILE_SHARE * self.median
+    }
+
+    /// Whether the force changes more than the noise of usual accelerometers. Vibration raises its norm.
+    fn vibrates(&self, gravity: f64) -> bool {
+        const MAX_CHANGE_SHARE: f64 = 0.1;
+        self.change > MAX_CHANGE_SHARE * gravity
     }
 
     fn unit_error(&self) -> Option<AccelUnitError> {

@@ -191,7 +191,13 @@ impl Parameters {
             return Err(NotObservable::AtRest);
         }
         let compensated = |late_s: &dyn Fn(f64) -> f64| Some(samples(late_s));
-        fit_profile(&samples(&|_| 0.0), 1, self.columns[Self::SKEW].value, removed_ramp, compensated)
+        fit_profile(
+            &samples(&|_| 0.0),
+            1,
+            self.columns[Self::SKEW].value,
+            removed_ramp,
+            compensated,
+        )
     }
 
     /// Adds a step of the `free` parameters.
