@@ -491,7 +491,7 @@ mod tests {
         let world_from_base = |t_s: f64| {
             pose(
                 [0.3 * t_s, 0.5 * (0.4 * t_s).sin(), 0.0],
-                Rotation::from_euler_angles(0.0, 0.0, 0.1 * t_s),
+                rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.1 * t_s)),
             )
         };
         let mut random = Lcg::new();

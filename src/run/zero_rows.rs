@@ -250,7 +250,7 @@ mod tests {
                 0 => swing(0.01 * row as f64),
                 _ => f64::NAN,
             };
-            let wheel = |row: usize| if row % 2 == 0 { f64::NAN } else { 0.0 };
+            let wheel = |row: usize| if row.is_multiple_of(2) { f64::NAN } else { 0.0 };
             let mut columns = JointColumns::default();
             columns.joints.extend(["a", "c"].map(|name| column(name, &arm)));
             columns.joints.push(column("rail", &|row| 2.0 * arm(row)));

@@ -359,10 +359,10 @@ mod tests {
 
     #[test]
     fn a_joint_that_wraps_beyond_its_limits_is_reported() {
-        for (range, is_beyond) in [([0.0, 6.28], true), ([-3.14, 3.14], false)] {
+        for (range, is_beyond) in [([0.0, 6.2], true), ([-3.1, 3.1], false)] {
             let mut run = clean_run();
             let joint = &mut run.robots[0].joints[1];
-            (joint.limits.lower, joint.limits.upper) = (Some(-3.14), Some(3.14));
+            (joint.limits.lower, joint.limits.upper) = (Some(-3.1), Some(3.1));
             joint.motion.wrapped = Some(WrappedRange { ends_rad: range, is_of_table: false });
             let (_, findings) = evaluate_rule(&MOT003, &run);
             assert_eq!(findings.len(), usize::from(is_beyond), "{findings:?}");
@@ -376,9 +376,9 @@ mod tests {
         {
             let mut run = clean_run();
             let joint = &mut run.robots[0].joints[1];
-            (joint.limits.lower, joint.limits.upper) = (Some(-3.14), Some(3.14));
+            (joint.limits.lower, joint.limits.upper) = (Some(-3.1), Some(3.1));
             joint.limits.velocity = Some(2.0);
-            joint.motion.wrapped = Some(WrappedRange { ends_rad: [0.0, 6.28], is_of_table });
+            joint.motion.wrapped = Some(WrappedRange { ends_rad: [0.0, 6.2], is_of_table });
             joint.motion.speeds =
                 Some(LimitViolation { limit: 2.0, value: 9.0, at_s: 1.0, seconds: 0.02 });
             let (_, findings) = evaluate_rule(&MOT003, &run);

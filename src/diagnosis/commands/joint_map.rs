@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn direction_scale_and_offset_are_estimated_with_outliers() {
         for (gain, offset) in [(-1.0, 0.0), (1.0, 1.57), (-1.0, -1.57), (2.0, 0.0), (0.5, 0.3)] {
-            let outlier = |row: usize| if row % 20 == 0 { 2.0 } else { 0.0 };
+            let outlier = |row: usize| if row.is_multiple_of(20) { 2.0 } else { 0.0 };
             let found = mapped(|row, command| gain * command + offset + outlier(row));
             let found = found.unwrap_or_else(|| panic!("{gain} {offset}"));
             assert!((found.gain.value - gain).abs() < 2e-3, "{found:?}");

@@ -295,7 +295,7 @@ struct StaticForce {
     is_at_rest: bool,
     median: f64,
     interquartile_range: f64,
-    /// Median change from sample to sample.
+    /// Median change from sample to sample over the run: a joint that vibrates seems to rest where it turns back.
     change: f64,
 }
 
@@ -306,10 +306,9 @@ impl StaticForce {
         let rows: &[usize] = if is_at_rest { rests } else { &all };
         let mut felt: Vec<f64> = rows.iter().map(|row| track.accel[*row].norm()).collect();
         let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
-        let pairs = rows.windows(2).filter(|pair| pair[1] == pair[0] + 1);
         let mut changes: Vec<f64> =
-            pairs.map(|pair| (track.accel[pair[1]] - track.accel[pair[0]]).norm()).collect();
-        let change = quantile(&mut changes, 0.5).unwrap_or(0.0);
+            track.accel.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+        let change = quantile(&mut changes, 0.5)?;
         Some(Self { is_at_rest, median: median?, interquartile_range: high? - low?, change })
     }
 
